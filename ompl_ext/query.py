@@ -112,7 +112,8 @@ class Safety:
         """
         numbers = (self.cycle, self.delta, self.delta_per_speed, self.delta_per_time, self.delta_horizon,
                    self.far_delta, self.far_delta_per_speed, self.rest_speed, self.step, self.horizon)  # fmt: skip
-        if not all(math.isfinite(value) and value >= 0 for value in (*numbers, min(self.near, 0.0))) or self.step == 0:
+        numbers_are_wrong = not all(math.isfinite(value) and value >= 0 for value in numbers)
+        if numbers_are_wrong or not self.near >= 0 or self.step == 0:
             raise ValueError(f"safety: numbers must be finite and not negative, got {self}")
         if self.horizon / self.step > MAX_STEPS:
             raise ValueError(f"safety: a horizon of {self.horizon} s has too many steps of {self.step} s")

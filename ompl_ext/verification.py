@@ -80,7 +80,7 @@ def verify(dirt: DirtSolver, plan: Plan) -> Verification:
     stop = plan.contingency
     stopping = _Clearance(dirt, _poses(dirt, stop.states))
     every = np.ones(len(stop.times), bool)
-    times = stop.times - stop.times[0] + dirt.safety.cycle
+    times = stop.times - stop.times[0] + dirt.safety.cycle  # as the planner takes it to begin
     problems += _clearance_violations(dirt, "contingency", times, stop.states, stopping, every)
     final_speeds = np.abs(stop.states[-1][list(dirt.vehicle.rest_indices)])
     if np.any(final_speeds > dirt.safety.rest_speed):

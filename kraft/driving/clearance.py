@@ -28,7 +28,7 @@ from ompl_ext.vehicle import Vehicle
 NEAR = 1.5  # time after a commit for which plans keep the bound as it is now (s)
 LATER_DELTA = 0.1  # bound at rest that is expected afterwards, at least (m)
 LATER_GROWTH, LATER_DELAY = 0.08, 0.1  # growth of the bound, and its part for the speed, at most (m/s, s)
-EXCESS = 0.05  # of the discs that cover the footprint where the bound is measured, as a share of its width
+COVER_EXCESS = 0.05  # of the discs that cover the footprint where the bound is measured, as a share of its width
 UNCORRECTED = 0.5  # time for which a wrong acceleration moves the vehicle until the controller corrects its effect (s)
 
 
@@ -149,7 +149,7 @@ class Solvers:
         if settings.cost_to_go == "pose" and vehicle.index("theta") >= 0:
             search = replace(search, pose_cost_to_go=True, way_margin=WAY_MARGIN)
         if settings.bound is not None:
-            search = replace(search, excess=EXCESS)
+            search = replace(search, excess=COVER_EXCESS)
         checking = DirtSolver(vehicle, workspace, goal, safety, search, settings.capacity)
         clearance = settings.bound or settings.safety
         foresight = clearance.foresight if clearance else 0.0

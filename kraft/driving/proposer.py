@@ -41,10 +41,8 @@ STALLED = 0.5  # cost by which a plan exceeds what was left of the last one if t
 CONVERGED = 0.1  # fall of the best cost during a quarter of the iterations below which a search has converged (s)
 PATIENCE = 0.4  # share of the iterations after which a search without a way to the goal ends
 LEVEL_GAIN = 2.0  # that a plan must save to keep less clearance than the last one (s)
-PROGRESS_TIME, PROGRESS = (
-    2.0,
-    0.4,
-)  # time (s) in which plans get at least that share of it cheaper if the vehicle gets on
+PROGRESS_TIME = 2.0  # time in which plans get cheaper if the vehicle gets on (s)
+PROGRESS = 0.4  # share of that time by which they get cheaper, at least
 RISE = 0.4  # that a plan may cost to keep more clearance than the last one, less than a regression (s)
 PROBES = 2  # attempts at retaining a rest at another level
 LOSS_CANDIDATES = 20  # plans of a tree that are examined for room for a loss of commands, if the best one has none

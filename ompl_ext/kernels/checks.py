@@ -11,18 +11,12 @@ import math
 from ompl_ext.arrays import Floats, int64
 from ompl_ext.jit import callee, inlined
 from ompl_ext.kernels import dirt, functions
-from ompl_ext.kernels.clearance import pose_slack, swept_margin
+from ompl_ext.kernels.clearance import delta_at, pose_slack, swept_margin
 from ompl_ext.kernels.costtogo import UNREACHABLE, seconds_to_goal, with_braking
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     BRAKE_STEP,
     BRAKING,
     CYCLE,
-    DELTA,
-    DELTA_FAR,
-    DELTA_FAR_PER_SPEED,
-    DELTA_HORIZON,
-    DELTA_PER_SPEED,
-    DELTA_PER_TIME,
     GOAL_COS,
     GOAL_LIMITS,
     GOAL_NEAR,
@@ -35,7 +29,6 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     LANE_WIDTH,
     LENGTH,
     MANOEUVRES,
-    NEAR,
     POSE_HEADINGS,
     REACH,
     REST_SPEED,
@@ -178,11 +171,8 @@ def delta(work: Lanes, step: int, lane: int, time: float, problem: Problem) -> f
     speed = 0.0
     if SPEED >= 0:
         speed = abs(work.trajectory[(step * NX + SPEED) * WIDTH + lane])
-    scalar = problem.scalar
-    if time > scalar[NEAR]:
-        return scalar[DELTA_FAR] + scalar[DELTA_FAR_PER_SPEED] * speed
-    growth = scalar[DELTA_PER_TIME] * min(time, scalar[DELTA_HORIZON])
-    return scalar[DELTA] + scalar[DELTA_PER_SPEED] * speed + growth
+    at_rest, per_speed, growth = delta_at(problem.scalar, time)
+    return at_rest + per_speed * speed + growth
 
 
 def check(lane: int, start_time: float, problem: Problem, work: Lanes) -> float:

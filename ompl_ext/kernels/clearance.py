@@ -19,10 +19,17 @@ from ompl_ext.jit import inlined
 from ompl_ext.kernels.distance import lower_to_shapes
 from ompl_ext.kernels.fine_field import TILE, VERTICES, FineField, Lattice, fine_distance, fine_field
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
+    DELTA,
+    DELTA_FAR,
+    DELTA_FAR_PER_SPEED,
+    DELTA_HORIZON,
+    DELTA_PER_SPEED,
+    DELTA_PER_TIME,
     FINE_INVERSE,
     GRID_INVERSE,
     GRID_X,
     GRID_Y,
+    NEAR,
     REACH,
     Maps,
     Problem,
@@ -328,6 +335,15 @@ def pose_slack(problem: Problem | Maps, x: float, y: float, c: float, s: float, 
         if slack < 0.0:
             return slack
     return slack
+
+
+@inlined
+def delta_at(scalar: Floats, time: float) -> tuple[float, float, float]:
+    """Clearance that the model gap requires at a time of a query (s): at rest (m), per speed (s), and growth (m)."""
+    if time > scalar[NEAR]:
+        return scalar[DELTA_FAR], scalar[DELTA_FAR_PER_SPEED], 0.0
+    growth = scalar[DELTA_PER_TIME] * min(time, scalar[DELTA_HORIZON])
+    return scalar[DELTA], scalar[DELTA_PER_SPEED], growth
 
 
 @inlined

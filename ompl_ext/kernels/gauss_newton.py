@@ -14,17 +14,12 @@ from numba import types
 from ompl_ext.arrays import Floats, Matrix, Matrix32, int64
 from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernels import functions
+from ompl_ext.kernels.clearance import delta_at
 from ompl_ext.kernels.dirt import requires_safety, set_duration
 from ompl_ext.kernels.fine_field import TILE, fine_distance
 from ompl_ext.kernels.functions import call_intervals
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     CYCLE,
-    DELTA,
-    DELTA_FAR,
-    DELTA_FAR_PER_SPEED,
-    DELTA_HORIZON,
-    DELTA_PER_SPEED,
-    DELTA_PER_TIME,
     FINE_COS,
     FINE_INVERSE,
     FINE_SIN,
@@ -37,7 +32,6 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     GRID_Y,
     LANE_WIDTH,
     LANES,
-    NEAR,
     PROBLEM,
     REACH,
     Lanes,
@@ -196,12 +190,9 @@ def clearance_penalty(
     """Sum of squared lacks of clearance at a state; with a positive `penalty` the stages get it, too."""
     scalar, required, growth = problem.scalar, work.margin[k], 0.0
     if time <= scalar[CYCLE]:
-        if time <= scalar[NEAR]:
-            growth = scalar[DELTA_PER_SPEED] if SPEED >= 0 else 0.0
-            required += scalar[DELTA] + scalar[DELTA_PER_TIME] * min(time, scalar[DELTA_HORIZON])
-        else:
-            growth = scalar[DELTA_FAR_PER_SPEED] if SPEED >= 0 else 0.0
-            required += scalar[DELTA_FAR]
+        at_rest, per_speed, later = delta_at(scalar, time)
+        growth = per_speed if SPEED >= 0 else 0.0
+        required += at_rest + later
         required += growth * abs(state[SPEED])
     x, y = state[X], state[Y]
     if distance(problem, signed, x, y) > scalar[REACH] + required:

@@ -13,7 +13,7 @@ from support.paths import ROOT
 
 from kraft.config import bundled
 from kraft.driving.clearance import (
-    EXCESS,
+    COVER_EXCESS,
     HYSTERESIS,
     LATER_DELAY,
     LATER_DELTA,
@@ -24,9 +24,9 @@ from kraft.driving.clearance import (
     STEADY,
 )
 from kraft.driving.control_settings import Dwa, Geometric, Kinodynamic, Lqr, Mppi, Nmpc, Predictive, RolloutCost
-from kraft.driving.estimation.adaptive import DRIVE_MAX, MOVED_AFTER, SLOW
+from kraft.driving.estimation.adaptive import MOVED_AFTER, SLOW
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
-from kraft.driving.estimation.sliding_window import LAG, PRIOR_CORRELATION, PRIOR_SAMPLES
+from kraft.driving.estimation.sliding_window import DRIVE_MAX, LAG, PRIOR_CORRELATION, PRIOR_SAMPLES
 from kraft.driving.method import Adaptive, CalibratedBound, Clearance, Filter, Method, PlannerSettings, load_method
 from kraft.driving.proposer import PATIENCE, PROGRESS, PROGRESS_TIME, RISE, STALLED
 from kraft.driving.replanner import ROOM
@@ -164,7 +164,7 @@ def test_quoted_constants_are_those_in_the_code() -> None:
         f"cheaper by {PROGRESS * PROGRESS_TIME:g} s in {PROGRESS_TIME:g} s", f"with {100 * ROOM:g} cm of clearance",
         f"From {NEAR:g} s on (`NEAR`)", f"{LATER_DELTA:g} m or what the pose's error asks for",
         f"a growth of at most {LATER_GROWTH:g} m/s, and at most {LATER_DELAY:g} s for the speed",
-        f"exceed it by at most {100 * EXCESS:g} % of its width",
+        f"exceed it by at most {100 * COVER_EXCESS:g} % of its width",
         f"from 0 to {DELAY_MAX:g} s", f"| none | {SOON:g} cycles |",
         f"has not reached the goal after {PATIENCE:g} `iterations` gives way",
         f"less than {RISE:g} s more than the plan that is then found at the lower level",

@@ -16,8 +16,15 @@ from typing import Final
 import numpy as np
 
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
-from kraft.driving.estimation.pose_filter import FLOOR_SIZE, ExcessSpeedModel, LevelCamera, PoseFilter, Posterior
-from kraft.driving.estimation.sliding_window import Drive, Identified, NoiseEstimate, SlidingWindow
+from kraft.driving.estimation.pose_filter import (
+    FLOOR_SIZE,
+    ExcessSpeedModel,
+    LevelCamera,
+    PoseFilter,
+    Posterior,
+    Prior,
+)
+from kraft.driving.estimation.sliding_window import DRIVE_MAX, DriveHistory, Identified, NoiseEstimate, SlidingWindow
 from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
 from kraft.driving.method import RANGES_EXPECTED, Adaptive, Filter, unstated_ranges
 from kraft.driving.vehicle_model import VehicleModel
@@ -47,10 +54,6 @@ SPREAD_STEP: Final = 1e-3
 """Step of the derivatives with respect to parameters, in standard deviations."""
 MOVED_AFTER: Final = 1.0
 """Time with larger errors of poses than the noise explains after which the vehicle may have been moved instead, s."""
-REST_BEFORE: Final = 0.5
-"""Time before the drive in which the vehicle rested at its start, s."""
-DRIVE_MAX: Final = 30.0
-"""Age of the oldest poses that are kept for the window, s."""
 CORRELATED, OFFSET, FLOOR = slice(0, 3), slice(3, 6), slice(6, 6 + FLOOR_SIZE)
 """Parts of the pose error, and the floor that it depends on, within the last components of the filter's state."""
 ERRORS: Final = FLOOR.stop
@@ -96,7 +99,7 @@ class AdaptiveEstimator:
         self._values: Floats = np.array(list(model.vehicle.parameters.values()))  # of the vehicle, in use
         self._identified: Identified | None = None
         self.learned: Learned | None = None
-        self._history = _History(start_state, model)
+        self._history = DriveHistory(start_state, model)
         self._delay_index = parameters.index(DELAY)
         self.horizon = 0.0 if self._delay_index < 0 else parameters.specs[self._delay_index].value
         self._filter.set_delay(self.horizon)
@@ -326,14 +329,7 @@ class CorrelatedFilter(PoseFilter):
         after = covariances + gains @ (covariance - before) @ gains.transpose(0, 2, 1)
         after = 0.5 * (after + after.transpose(0, 2, 1))
         self._posteriors = [
-            Posterior(
-                posterior.time,
-                posterior.mean + gain @ (slope - posterior.mean[floor]),
-                changed,
-                posterior.observation,
-                posterior.outliers,
-                posterior.doubted_since,
-            )
+            replace(posterior, mean=posterior.mean + gain @ (slope - posterior.mean[floor]), covariance=changed)
             for posterior, gain, changed in zip(posteriors, gains, after, strict=True)
         ]
         self._reckoning.reset(self.posterior.time, self.posterior.mean, self._posteriors[0].time)
@@ -345,8 +341,8 @@ class CorrelatedFilter(PoseFilter):
     def set_noise(self, noise: NoiseEstimate) -> None:
         """Set the noise of poses from now on."""
         self._noise = np.diag(noise.variance * (1.0 - noise.share))
-        self._errors.times[CORRELATED] = noise.time
-        self._set_variance(CORRELATED, noise.variance * noise.share, noise.time)
+        self._errors.times[CORRELATED], self._correlated_variance = noise.time, noise.variance * noise.share
+        self._set_variance(CORRELATED, self._correlated_variance, noise.time)
 
     def _set_variance(self, part: slice, variance: Floats, time: float) -> None:
         """Set the stationary variance (3,) of a part of the pose error, whose time constant is `time` s."""
@@ -421,43 +417,47 @@ class CorrelatedFilter(PoseFilter):
         after[:, floor] = after[floor, :].T
         return gain, after
 
-    _outliers_before_reset = math.inf  # of a burst of correlated errors all poses are outliers
+    def _after_outlier(self, posterior: Posterior, pose: Observation, prior: Prior, whitened: Floats) -> Posterior:
+        """Posterior with the correlated errors as uncertain as it takes to make an outlier as likely as the limit is.
 
-    def _doubted(self, covariance: Matrix, innovation: Floats, distance: float) -> tuple[Matrix, Matrix]:
-        """With the correlated errors as uncertain as it takes to make an outlier as likely as the limit is."""
-        covariance, correlated = covariance.copy(), self._part(CORRELATED)
-        covariance[np.ix_(correlated, correlated)] += (self._limit**-2.0 - distance**-2.0) * np.outer(
-            innovation, innovation
+        In a burst of correlated errors all poses are outliers.
+        """
+        covariance, correlated, distance = (
+            prior.covariance.copy(),
+            self._part(CORRELATED),
+            float(np.linalg.norm(whitened)),
         )
-        return covariance, self._noise
+        unexpected = np.outer(prior.innovation, prior.innovation)
+        covariance[np.ix_(correlated, correlated)] += (self._limit**-2.0 - distance**-2.0) * unexpected
+        _, cross, expected = self._expected(prior.mean, covariance)
+        doubted = replace(prior, covariance=covariance, cross_covariance=cross, pose_covariance=expected)
+        return self._fused(pose, doubted, self._noise)
 
     def _update(self, posterior: Posterior, pose: Observation) -> Posterior:
         """Posterior after a pose; errors that the noise does not explain are believed for a while."""
         after = super()._update(posterior, pose)
         error = after.mean[self._part(CORRELATED)]
-        stated = 0.5 * self._variance_rate[self._part(CORRELATED)] * self._errors.times[CORRELATED]
-        if (error**2 / np.maximum(stated, 1e-12)).sum() <= self._limit**2:
+        if (error**2 / np.maximum(self._correlated_variance, 1e-12)).sum() <= self._limit**2:
             return after
         since = min(posterior.doubted_since, pose.time)
         if pose.time - since < MOVED_AFTER:
             return replace(after, doubted_since=since)
-        return self._reset(pose, after.mean, after.covariance, error)
+        return self._half_moved(after)
 
-    def _reset(self, pose: Observation, mean: Floats, covariance: Matrix, innovation: Floats) -> Posterior:
+    def _half_moved(self, posterior: Posterior) -> Posterior:
         """Posterior after errors of poses that stay: either the vehicle was moved by as much, or they are that large.
 
         Both get half of it and the variance; what follows tells, for the errors decay.
         """
-        covariance, unexpected = covariance.copy(), np.outer(innovation, innovation)
-        correlated = self._part(CORRELATED)
-        covariance[self._pose_block] += unexpected
-        covariance[np.ix_(correlated, correlated)] += unexpected
+        mean, covariance, correlated = posterior.mean.copy(), posterior.covariance.copy(), self._part(CORRELATED)
+        error = mean[correlated]
+        covariance[self._pose_block] += np.outer(error, error)
+        covariance[np.ix_(correlated, correlated)] += np.outer(error, error)
         _, cross, expected = self._expected(mean, covariance)
         _, after = self._gain(covariance, cross, expected + self._noise)
-        change = np.zeros(len(mean))
-        change[self._pose] = 0.5 * innovation
-        change[correlated] = -0.5 * innovation
-        return Posterior(pose.time, mean + change, 0.5 * (after + after.T), pose)
+        mean[self._pose] += 0.5 * error
+        mean[correlated] += -0.5 * error
+        return Posterior(posterior.time, mean, 0.5 * (after + after.T), posterior.observation)
 
 
 class PoseErrorModel:
@@ -484,54 +484,3 @@ class PoseErrorModel:
         full[:-ERRORS, :-ERRORS] = jacobian
         full[self._last, self._last] = kept
         return np.concatenate([after, kept * state[-ERRORS:]]), full
-
-
-class _History:
-    """Recorded poses with the filter's states, commands and times of motion, the last `DRIVE_MAX` s of them."""
-
-    def __init__(self, start_state: Floats, model: VehicleModel) -> None:
-        self._theta = model.theta
-        pose = start_state[[model.x, model.y, model.theta]]
-        before = np.arange(-REST_BEFORE, -0.05, 0.1)
-        self._poses = [(float(t), pose, start_state) for t in before]
-        self._commands = [(-math.inf, model.rest)]
-        self.moving: list[tuple[float, float]] = []
-
-    def observe(self, observation: Observation, state: Floats) -> None:
-        """Add a pose with the state (nx,) that the filter has at its time; late ones are left out."""
-        if observation.time <= self._poses[-1][0]:
-            return
-        yaw = state[self._theta] + math.remainder(observation.theta - state[self._theta], math.tau)
-        self._poses.append((observation.time, np.array([observation.x, observation.y, yaw]), state.copy()))
-        if self._poses[0][0] < observation.time - 2.0 * DRIVE_MAX:  # where another process identifies, nobody asks
-            self._forget(observation.time - DRIVE_MAX - REST_BEFORE)
-
-    def command(self, time: float, control: Floats, moves: bool) -> None:
-        """Add a command, and whether the vehicle moves at its time."""
-        last = self._commands[-1][0]
-        self._commands.append((time, control))
-        if moves:
-            if self.moving and self.moving[-1][1] >= last:
-                self.moving[-1] = self.moving[-1][0], time
-            else:
-                self.moving.append((time, time))
-
-    def drive(self, begin: float) -> Drive | None:
-        """The recorded drive from `begin` (s) on; None before two poses."""
-        self._forget(begin)
-        if len(self._poses) < 2:
-            return None
-        times, poses, states = zip(*self._poses, strict=True)
-        command_times, commands = zip(*self._commands, strict=True)
-        first = min(times[0], command_times[1] if len(command_times) > 1 else times[0]) - 1.0
-        return Drive(
-            np.array(times), np.array(poses), np.array(states),
-            np.array([max(t, first) for t in command_times]), np.array(commands),
-        )  # fmt: skip
-
-    def _forget(self, before: float) -> None:
-        """Drop what is not needed for a drive from `before` (s) on."""
-        self._poses = [entry for entry in self._poses if entry[0] >= before]
-        keep = max((k for k, entry in enumerate(self._commands) if entry[0] <= before - DELAY_MAX), default=0)
-        del self._commands[:keep]
-        self.moving = [span for span in self.moving if span[1] >= before]

@@ -51,6 +51,20 @@ class Posterior:
     doubted_since: float = math.inf
 
 
+@dataclass(frozen=True)
+class Prior:
+    """Mean (n,) and covariance (n, n) predicted to the time of a pose, and how the pose differs from them.
+
+    `cross_covariance` (n, 3) is of the state with the expected pose, `pose_covariance` (3, 3) that of the expected pose.
+    """
+
+    mean: Floats
+    covariance: Matrix
+    innovation: Floats
+    cross_covariance: Matrix
+    pose_covariance: Matrix
+
+
 class ProcessModel(Protocol):
     """Motion of the filter's state (size,): first the vehicle's state, then the excess of its speed."""
 
@@ -71,7 +85,6 @@ class PoseFilter:
     """
 
     horizon: Final = 0.0
-    _outliers_before_reset: float = OUTLIERS_BEFORE_RESET
 
     def __init__(
         self, settings: Filter, model: VehicleModel, start_state: Floats, process_model: ProcessModel | None = None
@@ -158,27 +171,30 @@ class PoseFilter:
         return self._variance_rate * duration
 
     def _update(self, posterior: Posterior, pose: Observation) -> Posterior:
-        """Posterior after a pose: the Kalman update with Huber's weight."""
+        """Posterior after a pose: the Kalman update, or that after an outlier."""
         mean, covariance = self._predict(posterior, pose.time)
         (x, y, theta), cross_covariance, pose_covariance = self._expected(mean, covariance)
         innovation = np.array([pose.x - x, pose.y - y, math.remainder(pose.theta - theta, math.tau)])
-        noise = self._noise
-        whitened = np.linalg.solve(np.linalg.cholesky(pose_covariance + noise), innovation)
-        outliers: tuple[Floats, ...] = ()
-        if (distance := math.sqrt(float(whitened @ whitened))) > self._limit:
-            outliers = (*posterior.outliers, whitened)
-            agree = float(np.linalg.norm(np.mean(outliers, axis=0))) > self._limit
-            if len(outliers) >= self._outliers_before_reset and agree:
-                return self._reset(pose, mean, covariance, innovation)
-            outliers = outliers[-OUTLIERS_BEFORE_RESET:]
-            covariance, noise = self._doubted(covariance, innovation, distance)
-            _, cross_covariance, pose_covariance = self._expected(mean, covariance)
-        gain, after = self._gain(covariance, cross_covariance, pose_covariance + noise)
-        return Posterior(pose.time, mean + gain @ innovation, 0.5 * (after + after.T), pose, outliers)
+        prior = Prior(mean, covariance, innovation, cross_covariance, pose_covariance)
+        whitened = np.linalg.solve(np.linalg.cholesky(pose_covariance + self._noise), innovation)
+        if math.sqrt(float(whitened @ whitened)) > self._limit:
+            return self._after_outlier(posterior, pose, prior, whitened)
+        return self._fused(pose, prior, self._noise)
 
-    def _doubted(self, covariance: Matrix, innovation: Floats, distance: float) -> tuple[Matrix, Matrix]:
-        """Covariance (n, n) and noise (3, 3) with which an outlier at a whitened `distance` is processed."""
-        return covariance, self._noise * (distance / self._limit)
+    def _after_outlier(self, posterior: Posterior, pose: Observation, prior: Prior, whitened: Floats) -> Posterior:
+        """Posterior after a pose whose `whitened` innovation (3,) is beyond the limit: Huber's weight, or a reset."""
+        outliers = (*posterior.outliers, whitened)
+        agree = float(np.linalg.norm(np.mean(outliers, axis=0))) > self._limit
+        if len(outliers) >= OUTLIERS_BEFORE_RESET and agree:
+            return self._reset(pose, prior)
+        noise = self._noise * (math.sqrt(float(whitened @ whitened)) / self._limit)
+        return self._fused(pose, prior, noise, outliers[-OUTLIERS_BEFORE_RESET:])
+
+    def _fused(self, pose: Observation, prior: Prior, noise: Matrix, outliers: tuple[Floats, ...] = ()) -> Posterior:
+        """Posterior after a pose with a `noise` (3, 3)."""
+        gain, after = self._gain(prior.covariance, prior.cross_covariance, prior.pose_covariance + noise)
+        mean = prior.mean + gain @ prior.innovation
+        return Posterior(pose.time, mean, 0.5 * (after + after.T), pose, outliers)
 
     def _gain(self, covariance: Matrix, cross_covariance: Matrix, innovation: Matrix) -> tuple[Matrix, Matrix]:
         """Gain (n, 3) of a pose, and the covariance (n, n) after it.
@@ -192,10 +208,10 @@ class PoseFilter:
         """Expected pose (3,), its covariance with the state (n, 3), and its covariance without noise (3, 3)."""
         return mean[self._pose], covariance[:, self._pose], covariance[self._pose_block]
 
-    def _reset(self, pose: Observation, mean: Floats, covariance: Matrix, innovation: Floats) -> Posterior:
+    def _reset(self, pose: Observation, prior: Prior) -> Posterior:
         """Posterior with the pose reset to a measured one."""
-        mean, covariance = mean.copy(), covariance.copy()
-        mean[self._pose] += innovation
+        mean, covariance = prior.mean.copy(), prior.covariance.copy()
+        mean[self._pose] += prior.innovation
         covariance[self._pose, :] = covariance[:, self._pose] = 0.0
         covariance[self._pose_block] = self._noise
         return Posterior(pose.time, mean, covariance, pose)

@@ -15,7 +15,10 @@ from typing import Final
 
 import numpy as np
 
+from kraft.driving.estimation.dead_reckoning import DELAY_MAX
+from kraft.driving.messages import Observation
 from kraft.driving.method import Adaptive
+from kraft.driving.vehicle_model import VehicleModel
 from kraft.logs.log import Part
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.factor_graph import FastGraph
@@ -43,6 +46,10 @@ INFORMATIVE: Final = 0.3
 """Information on a parameter, as a share of that of its prior, below which its change is not looked for."""
 RELAXATIONS: Final = 2
 """Iterations that fit the states of the newest motion."""
+REST_BEFORE: Final = 0.5
+"""Time before the drive in which the vehicle rested at its start, s."""
+DRIVE_MAX: Final = 30.0
+"""Age of the oldest poses that are kept for the window, s."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +74,57 @@ class Drive:
     def interval(self) -> float:
         """Mean time between poses, s."""
         return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
+
+
+class DriveHistory:
+    """Recorded poses with the filter's states, commands and times of motion, the last `DRIVE_MAX` s of them."""
+
+    def __init__(self, start_state: Floats, model: VehicleModel) -> None:
+        self._theta = model.theta
+        pose = start_state[[model.x, model.y, model.theta]]
+        before = np.arange(-REST_BEFORE, -0.05, 0.1)
+        self._poses = [(float(t), pose, start_state) for t in before]
+        self._commands = [(-math.inf, model.rest)]
+        self.moving: list[tuple[float, float]] = []
+
+    def observe(self, observation: Observation, state: Floats) -> None:
+        """Add a pose with the state (nx,) that the filter has at its time; late ones are left out."""
+        if observation.time <= self._poses[-1][0]:
+            return
+        yaw = state[self._theta] + math.remainder(observation.theta - state[self._theta], math.tau)
+        self._poses.append((observation.time, np.array([observation.x, observation.y, yaw]), state.copy()))
+        if self._poses[0][0] < observation.time - 2.0 * DRIVE_MAX:  # where another process identifies, nobody asks
+            self._forget(observation.time - DRIVE_MAX - REST_BEFORE)
+
+    def command(self, time: float, control: Floats, moves: bool) -> None:
+        """Add a command, and whether the vehicle moves at its time."""
+        last = self._commands[-1][0]
+        self._commands.append((time, control))
+        if moves:
+            if self.moving and self.moving[-1][1] >= last:
+                self.moving[-1] = self.moving[-1][0], time
+            else:
+                self.moving.append((time, time))
+
+    def drive(self, begin: float) -> Drive | None:
+        """The recorded drive from `begin` (s) on; None before two poses."""
+        self._forget(begin)
+        if len(self._poses) < 2:
+            return None
+        times, poses, states = zip(*self._poses, strict=True)
+        command_times, commands = zip(*self._commands, strict=True)
+        first = min(times[0], command_times[1] if len(command_times) > 1 else times[0]) - 1.0
+        return Drive(
+            np.array(times), np.array(poses), np.array(states),
+            np.array([max(t, first) for t in command_times]), np.array(commands),
+        )  # fmt: skip
+
+    def _forget(self, before: float) -> None:
+        """Drop what is not needed for a drive from `before` (s) on."""
+        self._poses = [entry for entry in self._poses if entry[0] >= before]
+        keep = max((k for k, entry in enumerate(self._commands) if entry[0] <= before - DELAY_MAX), default=0)
+        del self._commands[:keep]
+        self.moving = [span for span in self.moving if span[1] >= before]
 
 
 @dataclass(frozen=True)
