@@ -55,7 +55,7 @@ class Posterior:
 class Prior:
     """Mean (n,) and covariance (n, n) predicted to the time of a pose, and how the pose differs from them.
 
-    `cross_covariance` (n, 3) is of the state with the expected pose, `pose_covariance` (3, 3) that of the expected pose.
+    `cross_covariance` (n, 3) is of the state with the expected pose, `pose_covariance` (3, 3) that of this pose.
     """
 
     mean: Floats
