@@ -132,19 +132,10 @@ class EdgeChecker:
 
     def clearances(self, poses: Matrix) -> Floats:
         """Lower bound (n,) of the footprint's clearance at poses (n, 3), m; as `pose_slack`, but tight everywhere."""
-        field, _, _, discs, scalar = self._maps
-        distance = np.full(len(poses), math.inf)
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        for ahead, aside, radius in discs[discs[:, 3] == 0.0, :3]:
-            row = (poses[:, 1] + ahead * s + aside * c - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE]
-            column = (poses[:, 0] + ahead * c - aside * s - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE]
-            inside = np.clip(row, 0, field.shape[0] - 1).astype(int), np.clip(column, 0, field.shape[1] - 1).astype(int)
-            value = field[inside].astype(float)
-            if scalar[at.FINE_INVERSE] > 0.0:
-                x, y = poses[:, 0] + ahead * c - aside * s, poses[:, 1] + ahead * s + aside * c
-                raise_to_fine(self._problem, x, y, value)
-            distance = np.minimum(distance, value - radius)
-        return distance
+        found = np.empty(len(poses))
+        poses = np.ascontiguousarray(poses, dtype=float)
+        self._search.clearances(self._problem, poses, np.cos(poses[:, 2]), np.sin(poses[:, 2]), found)
+        return found
 
     def least_distance(self, poses: Matrix) -> float:
         """Smallest exact distance of the footprint at poses (n, 3) to an obstacle (m), asked of as few as possible."""

@@ -20,6 +20,7 @@ from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
 from kraft.driving.rest import (  # fmt: skip
+    CORRECTION_ATTEMPTS,
     RETAINED_TOLERANCE,
     Rest,
     goes_same_way,
@@ -44,7 +45,8 @@ LEVEL_GAIN = 2.0  # that a plan must save to keep less clearance than the last o
 PROGRESS_TIME = 2.0  # time in which plans get cheaper if the vehicle gets on (s)
 PROGRESS = 0.4  # share of that time by which they get cheaper, at least
 RISE = 0.4  # that a plan may cost to keep more clearance than the last one, less than a regression (s)
-PROBES = 2  # attempts at retaining a rest at another level
+PROBES = 2  # attempts at retaining a rest at a level before it is searched at
+PROBES_HIGHER = 4  # the same when it is searched at a level above that of the last plan, whose rest is the fallback
 LOSS_CANDIDATES = 20  # plans of a tree that are examined for room for a loss of commands, if the best one has none
 LEVEL_TIME = 0.15  # share of the remaining time in which a search finds a way at a level, by the clock
 RESERVED_TIME = 0.2  # share of the time of a cycle that is left for other levels, by the clock
@@ -179,7 +181,8 @@ class Proposer:
         while waiting and self._budget > 0:
             number = waiting.pop(0)
             dirt = levels.set(number, eased=rest is not None and number == kept)
-            found = self._search(query, dirt, LEVEL_TIME, is_last=not waiting)
+            attempts = PROBES_HIGHER if number < kept else CORRECTION_ATTEMPTS
+            found = self._search(query, dirt, LEVEL_TIME, is_last=not waiting, attempts=attempts)
             if number < kept and not _leads_to_goal(found):
                 continue
             gain = RISE if chosen < kept else LEVEL_GAIN if self._gets_on else 0.0
@@ -325,7 +328,14 @@ class Proposer:
             return False
         return total_cost(proposal.plan) > rest.left + RETAINED_TOLERANCE
 
-    def _search(self, query: _Query, dirt: DirtSolver, share: float, is_last: bool = False) -> Proposal:
+    def _search(
+        self,
+        query: _Query,
+        dirt: DirtSolver,
+        share: float,
+        is_last: bool = False,
+        attempts: int = CORRECTION_ATTEMPTS,
+    ) -> Proposal:
         """Alg. 1 from the predicted root, starting with the remainder of the plan that is being executed."""
         root, rest = query.root, query.rest
         if dirt.start(root, self._seed_of(query)) < 0.0:
@@ -335,7 +345,7 @@ class Proposer:
         lost = PlanLoss.NONE
         if rest is not None:
             if rest.edges is not None:
-                start_with_best_corrections(dirt, root, rest, self._seed_of(query))
+                start_with_best_corrections(dirt, root, rest, self._seed_of(query), attempts)
             lost = retain(dirt, root, rest)  # ll. 1-8
         kept = None if rest is None or self._settings.switch_gain == 0.0 else retained_plan(dirt, rest)
         progress = self._grow(dirt, query, share, is_last)

@@ -16,6 +16,7 @@ from ompl_ext.solver import DirtSolver
 
 RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)
 CORRECTION_ATTEMPTS = 12  # at retaining a rest with different random corrections
+ATTEMPT_TOLERANCE = 0.03  # by which the cost of a whole rest may be higher after each attempt at a cheaper one (s)
 ATTEMPT_SEEDS = 1_000_000_007  # between the seeds of two attempts
 
 
@@ -53,7 +54,8 @@ def start_with_best_corrections(
 ) -> None:
     """Start a query at `root` (nx,) with the seed that retains most of a rest, of several, the cheapest one if all.
 
-    Corrections are random, and each of them is the best one for its own edge only: others pass where one fails.
+    Corrections are random, and each of them is the best one for its own edge only: others pass where one fails.  A
+    cheaper whole rest is worth ever fewer attempts.
     """
     assert rest.edges is not None
     edges, best = rest.edges, (-1, -math.inf, seed)
@@ -62,7 +64,7 @@ def start_with_best_corrections(
         dirt.start(root, seed + attempt * ATTEMPT_SEEDS)
         retained = dirt.retain_edges(edges.parents[part], edges.controls[part], edges.durations[part], edges.targets)
         best = max(best, (retained, -dirt.best_cost, seed + attempt * ATTEMPT_SEEDS))
-        if retained == edges.rest and dirt.best_cost <= rest.left + RETAINED_TOLERANCE:
+        if best[0] == edges.rest and -best[1] <= rest.left + RETAINED_TOLERANCE + attempt * ATTEMPT_TOLERANCE:
             break
     dirt.start(root, best[2])
 
@@ -119,6 +121,8 @@ WAY_STEP = 0.02  # distance between the places on a way that are compared, where
 
 def goes_same_way(dirt: DirtSolver, plan: Plan, other: Plan) -> bool:
     """Whether two plans stay near each other in the next seconds and pass every obstacle on the same side."""
+    if np.array_equal(plan.trajectory, other.trajectory):
+        return True
     (one, one_soon), (two, two_soon) = (_places(dirt, each) for each in (plan, other))
     return _follows(dirt, one_soon, two) and _follows(dirt, two_soon, one)
 

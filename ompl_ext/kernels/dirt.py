@@ -336,7 +336,7 @@ def vary_edge(tree: Tree, problem: Problem, work: Lanes, lanes: int, spread: flo
 
 @part
 def nearest_lane(problem: Problem, retained: Retained, k: int, work: Lanes, lanes: int) -> int:
-    """Free lane that ends nearest to the target of a retained edge; -1 if there is none."""
+    """Lane not known to collide that ends nearest to the target of a retained edge; -1 if there is none."""
     chosen, nearest = -1, math.inf
     for i in range(lanes):
         if work.slack[i] >= 0.0 and work.togo[i] < UNREACHABLE:
@@ -361,18 +361,22 @@ def propagate_retained(
     safe: Safe,
 ) -> int:
     """Propagate lanes from a node; the free and safe lane that ends nearest to the target of edge k, -1 if none."""
-    start = tree.value[parent, COST]
+    start, tries = tree.value[parent, COST], 0
     propagate(tree.state[parent], lanes, problem, work)
-    for i in range(lanes):
-        work.slack[i] = check(i, start, problem, work)
     tree.count[EDGES] += lanes
-    lane, tries = nearest_lane(problem, retained, k, work, lanes), 0
-    while lane >= 0 and requires_safety(problem, start, lane, work) and safe(lane, start, problem, work, brake) < 0:
+    while tries < CORRECTION_TRIES:
+        lane = nearest_lane(problem, retained, k, work, lanes)  # checked one by one, which costs less than all of them
+        if lane < 0:
+            return -1
+        work.slack[lane] = check(lane, start, problem, work)
+        if work.slack[lane] < 0.0:
+            continue
+        if not requires_safety(problem, start, lane, work) or safe(lane, start, problem, work, brake) >= 0:
+            return lane
         tree.count[UNSAFE] += 1
         tries += 1
         work.slack[lane] = -1.0
-        lane = nearest_lane(problem, retained, k, work, lanes) if tries < CORRECTION_TRIES else -1
-    return lane
+    return -1
 
 
 @template

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ompl_ext.arrays import Bools, Floats, Floats32, IntMatrix32, Matrix, Matrix32, Words16, Words16Matrix, int64
-from ompl_ext.jit import compiled, inlined
+from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernels.distance import Shapes, column_distance, interpolated, lower_points, near_shapes, shapes
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     FINE_COS,
@@ -303,13 +303,20 @@ def _lower_tiles(
                             stored[k] = np.uint16(nearest * nearest)
 
 
+@part
+def fine_distance_anywhere(problem: Problem, x: float, y: float) -> float:
+    """As `fine_distance`, of any point; -1 outside the fine field."""
+    side = TILE / problem.scalar[FINE_INVERSE]
+    dx, dy = x - problem.scalar[FINE_X], y - problem.scalar[FINE_Y]
+    u = dx * problem.scalar[FINE_COS] + dy * problem.scalar[FINE_SIN]
+    v = dy * problem.scalar[FINE_COS] - dx * problem.scalar[FINE_SIN]
+    if 0.0 <= u < problem.tile.shape[1] * side and 0.0 <= v < problem.tile.shape[0] * side:
+        return fine_distance(problem, x, y)
+    return -1.0
+
+
 @compiled
 def raise_to_fine(problem: Problem, x: Floats, y: Floats, value: Floats) -> None:
     """Raise lower bounds (n,) of the distance from points to that of the fine field, m, where it is stored."""
-    side = TILE / problem.scalar[FINE_INVERSE]
     for k in range(len(x)):
-        dx, dy = x[k] - problem.scalar[FINE_X], y[k] - problem.scalar[FINE_Y]
-        u = dx * problem.scalar[FINE_COS] + dy * problem.scalar[FINE_SIN]
-        v = dy * problem.scalar[FINE_COS] - dx * problem.scalar[FINE_SIN]
-        if 0.0 <= u < problem.tile.shape[1] * side and 0.0 <= v < problem.tile.shape[0] * side:
-            value[k] = max(value[k], fine_distance(problem, x[k], y[k]))
+        value[k] = max(value[k], fine_distance_anywhere(problem, x[k], y[k]))

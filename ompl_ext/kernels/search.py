@@ -13,7 +13,7 @@ from ompl_ext.arrays import Floats, IntMatrix32, Matrix, Matrix32, Words16Matrix
 from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernels import dirt
 from ompl_ext.kernels import functions as at
-from ompl_ext.kernels.clearance import pose_slack
+from ompl_ext.kernels.clearance import clearances, pose_slack
 from ompl_ext.kernels.functions import (  # fmt: skip
     call_brake,
     call_check,
@@ -132,6 +132,10 @@ def _pose(
     return pose_slack(maps, x, y, cos(theta), sin(theta), 0.0)
 
 
+def _clearances(problem: Problem, poses: Matrix, c: Floats, s: Floats, found: Floats) -> None:
+    clearances(problem, poses, c, s, found)
+
+
 @dataclass(frozen=True)
 class Search:
     """Compiled search: single edges, manoeuvres, poses, and `grow`.
@@ -143,6 +147,7 @@ class Search:
     edge: Callable[[Problem, Lanes, float], None]
     brake: Callable[[Problem, Lanes, Lanes, float], int]
     pose: Callable[[Matrix32, IntMatrix32, Words16Matrix, Floats, Floats, float, float, float], float]
+    clearances: Callable[[Problem, Matrix, Floats, Floats, Floats], None]
 
 
 @cache
@@ -158,4 +163,5 @@ def search() -> Search:
         compiled(_edge, signature=types.void(PROBLEM, LANES, number)),
         compiled(_brake, signature=types.int64(PROBLEM, LANES, LANES, number)),
         compiled(_pose, signature=number(*maps, number, number, number)),
+        compiled(_clearances, signature=types.void(PROBLEM, matrix, floats, floats, floats)),
     )
