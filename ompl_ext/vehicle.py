@@ -53,11 +53,12 @@ class Footprint:
 
 @dataclass(frozen=True)
 class ParameterRange:
-    """Bounds of a parameter and the standard deviation of its prior, which is centred at its value."""
+    """Bounds of a parameter and the standard deviation of its prior, which is centred at its value; and its unit."""
 
     low: float
     high: float
     std: float
+    unit: str = ""
 
     @property
     def is_known(self) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 
 from kraft.errors import Code, InputError
 from kraft.vehicles import CAR_CONTROLS, is_car
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.kernels.specialise import StepKernels, kernels, step_kernels
 from ompl_ext.vehicle import Vehicle
 
@@ -26,6 +26,8 @@ ROUNDING: Final = 1e-9
 """Share of an integration step that counts as an error of rounded times, not as time."""
 CHANGE: Final = 1e-5
 """Change of a component in a numeric derivative, SI."""
+NO_EFFECT: Final = 0.01
+"""Effect of a parameter on the speed, as a share of that on what turns the vehicle, below which it has none."""
 INSTANT: Final = 1e-3
 """Duration over which the direction of motion is measured, s."""
 
@@ -106,6 +108,15 @@ class VehicleModel:
         self._roll_out(motions, controls, self._parameters, np.full(len(states), duration))
         after: Matrix = motions[:, 1]
         return after
+
+    def acts_on_turning(self) -> Bools:
+        """Whether each parameter (np,) acts on how the vehicle turns, and not on its speed, in a turn."""
+        state, own = np.zeros(len(self.vehicle.state)), self._parameters
+        state[self.v] = 0.5
+        rates = self.rates(state, self.drive_control(0.5, 0.5), np.vstack([own, own + CHANGE * np.eye(len(own))]))
+        effects = np.abs(rates[1:] - rates[0])
+        acts: Bools = effects[:, self.v] < NO_EFFECT * np.delete(effects, [self.x, self.y, self.v], axis=1).max(axis=1)
+        return acts
 
     def rates(self, state: Floats, control: Floats, parameters: Matrix) -> Matrix:
         """Derivatives (n, nx) of a state (nx,) under a control (nu,) with each of `parameters` (n, np)."""

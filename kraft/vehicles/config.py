@@ -125,9 +125,9 @@ class VehicleConfig(StrictModel):
         found = {}
         for name, p in self.parameters.items():
             if p.fixed or p.value == p.neutral:
-                found[name] = ParameterRange(p.value, p.value, 0.0)
+                found[name] = ParameterRange(p.value, p.value, 0.0, p.unit)
             elif p.min is not None and p.max is not None and p.std is not None:
-                found[name] = ParameterRange(p.min, p.max, p.std)
+                found[name] = ParameterRange(p.min, p.max, p.std, p.unit)
         return found
 
     def with_values(self, values: Mapping[str, float]) -> VehicleConfig:

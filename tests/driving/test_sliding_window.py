@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from support.adaptive import HEADING, OTHER, POSITION, exciting, recorded, standing, straight, vehicle, window
+from support.adaptive import HEADING, OTHER, POSITION, SETTINGS, exciting, recorded, standing, straight, vehicle, window
 
-from kraft.driving.estimation.sliding_window import Identified
+from kraft.driving.estimation.sliding_window import Drive, Identified, NoiseEstimate
+from kraft.driving.vehicle_model import CarModel
 from kraft.sysid.interface import Noise
 
-NOISE = Noise(POSITION, HEADING)
 INTERVAL = 2.5  # standard deviations, 99 %
+
+
+def independent(length: float) -> Noise:
+    """Noise of poses with independent errors, whatever the `length` of the motion."""
+    return Noise(POSITION, HEADING)
 
 
 def deviations(found: Identified) -> dict[str, float]:
@@ -25,7 +32,7 @@ def values(found: Identified) -> dict[str, float]:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("delay", [0.0, 0.1, 0.2])
 def test_the_window_finds_delay_wheelbase_and_steering_offset(seed: int, delay: float) -> None:
-    found = window().update(recorded(exciting, 7.0, OTHER, delay, seed), [(0.1, 7.0)], NOISE)
+    found = window().update(recorded(exciting, 7.0, OTHER, delay, seed), [(0.1, 7.0)], independent)
     assert found is not None
     value, deviation = values(found), deviations(found)
     assert value["delay"] == pytest.approx(delay, abs=0.03)
@@ -36,13 +43,22 @@ def test_the_window_finds_delay_wheelbase_and_steering_offset(seed: int, delay: 
     assert deviation["delay"] < 0.2 * window().parameters.std[-1]
 
 
+def until(drive: Drive, time: float) -> Drive:
+    """The drive until `time` (s)."""
+    poses, commands = drive.times <= time, drive.command_times <= time
+    return Drive(
+        drive.times[poses], drive.poses[poses], drive.states[poses], drive.command_times[commands],
+        drive.commands[commands],
+    )  # fmt: skip
+
+
 def test_a_car_that_stands_tells_nothing() -> None:
-    assert window().update(recorded(standing, 7.0, OTHER, 0.1), [], NOISE) is None
+    assert window().update(recorded(standing, 7.0, OTHER, 0.1), [], independent) is None
 
 
 def test_a_car_that_stands_but_is_taken_to_move_leaves_wheelbase_and_delay_at_their_priors() -> None:
     subject = window()
-    found = subject.update(recorded(standing, 7.0, OTHER, 0.1), [(0.5, 6.0)], NOISE)
+    found = subject.update(recorded(standing, 7.0, OTHER, 0.1), [(0.5, 6.0)], independent)
     assert found is not None
     names, priors = subject.parameters.names, subject.parameters
     for name in ("L", "phi_diff", "delay"):
@@ -53,7 +69,7 @@ def test_a_car_that_stands_but_is_taken_to_move_leaves_wheelbase_and_delay_at_th
 
 def test_driving_straight_tells_the_steering_offset_but_not_the_wheelbase() -> None:
     subject = window()
-    found = subject.update(recorded(straight, 7.0, {"phi_diff": 0.06}, 0.0), [(0.1, 7.0)], NOISE)
+    found = subject.update(recorded(straight, 7.0, {"phi_diff": 0.06}, 0.0), [(0.1, 7.0)], independent)
     assert found is not None
     deviation, priors = deviations(found), subject.parameters
     assert values(found)["phi_diff"] == pytest.approx(0.06, abs=INTERVAL * deviation["phi_diff"])
@@ -63,7 +79,9 @@ def test_driving_straight_tells_the_steering_offset_but_not_the_wheelbase() -> N
 
 def test_standing_does_not_make_the_window_forget() -> None:
     moved = [(0.1, 7.5)]
-    soon, late = (window().update(recorded(exciting, 7.0, OTHER, 0.1, rest=rest), moved, NOISE) for rest in (1.5, 20.0))
+    soon, late = (
+        window().update(recorded(exciting, 7.0, OTHER, 0.1, rest=rest), moved, independent) for rest in (1.5, 20.0)
+    )
     assert soon is not None
     assert late is not None
     assert late.rho == pytest.approx(soon.rho, abs=1e-9)
@@ -73,7 +91,7 @@ def test_standing_does_not_make_the_window_forget() -> None:
 def test_motion_before_the_window_does_not_count() -> None:
     """The last 6 s of motion are those after 1 s, so where it began does not matter."""
     drive = recorded(exciting, 7.0, OTHER, 0.1)
-    whole, cut = (window().update(drive, [(begin, 7.0)], NOISE) for begin in (0.1, 1.0))
+    whole, cut = (window().update(drive, [(begin, 7.0)], independent) for begin in (0.1, 1.0))
     assert whole is not None
     assert cut is not None
     assert np.array_equal(whole.rho, cut.rho)
@@ -82,7 +100,7 @@ def test_motion_before_the_window_does_not_count() -> None:
 def test_an_update_begins_where_the_last_one_ended() -> None:
     subject = window()
     drive = recorded(exciting, 7.0, OTHER, 0.1)
-    first, second = (subject.update(drive, [(0.1, 7.0)], NOISE) for _ in range(2))
+    first, second = (subject.update(drive, [(0.1, 7.0)], independent) for _ in range(2))
     assert first is not None
     assert second is not None
     assert np.array_equal(subject.rho, second.rho)
@@ -90,15 +108,16 @@ def test_an_update_begins_where_the_last_one_ended() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize(("name", "value"), [("phi_diff", 0.07), ("phi_diff", -0.07), ("v_delta", 0.4)])
+@pytest.mark.parametrize(("name", "value"), [("phi_diff", 0.07), ("phi_diff", -0.07)])
 def test_a_parameter_that_changes_is_followed_while_most_of_the_window_is_older(
     seed: int, name: str, value: float
 ) -> None:
-    """Two of the six seconds are those of the changed car; the noise is that of a good camera."""
+    """Two of the six seconds are those of the changed car; updates come in cycles, and the camera is a good one."""
     drive = recorded(exciting, 9.0, {}, 0.1, seed, change=(7.0, {name: value}))
     subject, constant = window(), window()
-    found = subject.update(drive, [(0.1, 9.0)], NOISE)
-    before = constant.update(recorded(exciting, 7.0, {}, 0.1, seed), [(0.1, 7.0)], NOISE)
+    for time in np.arange(7.0, 9.1, 0.25):
+        found = subject.update(until(drive, float(time)), [(0.1, float(time))], independent)
+    before = constant.update(recorded(exciting, 7.0, {}, 0.1, seed), [(0.1, 7.0)], independent)
     assert found is not None
     assert before is not None
     k = subject.parameters.names.index(name)
@@ -110,11 +129,49 @@ def test_a_parameter_that_changes_is_followed_while_most_of_the_window_is_older(
     assert found.covariance[k, k] > before.covariance[k, k]
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_drive_that_grows_weak_is_followed_in_what_it_does(seed: int) -> None:
+    """A force explains two seconds as well as a weaker drive does; both predict the acceleration."""
+    drive = recorded(exciting, 9.0, {}, 0.1, seed, change=(7.0, {"v_delta": 0.4}))
+    subject, k = window(), vehicle().index("v")
+    for time in np.arange(7.0, 9.1, 0.25):
+        found = subject.update(until(drive, float(time)), [(0.1, float(time))], independent)
+    assert found is not None
+    own = np.array(list(vehicle().parameters.values()))
+    true = np.array(list(vehicle().with_parameters({"v_delta": 0.4}).parameters.values()))
+    tried = np.array([true, own, found.rho[: len(own)]])
+    acceleration = CarModel(vehicle()).rates(drive.states[-1], drive.commands[-1], tried)[:, k]
+    wrong = np.abs(acceleration[1:] - acceleration[0])
+    assert wrong[0] > 0.1
+    assert wrong[1] < 0.3 * wrong[0]
+
+
+def test_a_wheelbase_does_not_change_while_the_car_drives() -> None:
+    """A score of the wheelbase has another cause, so rho keeps the one of the whole window."""
+    drive = recorded(exciting, 9.0, {}, 0.1, 0, change=(7.0, {"L": 0.45}))
+    subject = window()
+    for time in np.arange(7.0, 9.1, 0.25):
+        found = subject.update(until(drive, float(time)), [(0.1, float(time))], independent)
+        assert found is not None
+        spread = 0.5 * np.sqrt(found.constant_covariance[0, 0])
+        assert found.rho[0] == pytest.approx(found.constant[0], abs=max(spread, 0.01))
+
+
+def test_noise_that_varies_slowly_matters_less_for_a_short_motion() -> None:
+    noise = replace(NoiseEstimate.of(SETTINGS), share=np.full(3, 0.5), time=1.0)
+    long, short, shortest = (noise.of_one_pose(1.0 / 30.0, length).yaw for length in (np.inf, 1.0, 0.1))
+    sigma = np.sqrt(noise.variance[2])
+    assert long == pytest.approx(np.sqrt(0.5 + 0.5 * 60.0) * sigma, rel=0.01)  # as many poses as two time constants
+    assert np.sqrt(0.5) * sigma < shortest < short < 0.35 * long  # half of the variance is independent
+    independent_errors = replace(noise, share=np.zeros(3))
+    assert independent_errors.of_one_pose(1.0 / 30.0, 1.0).yaw == pytest.approx(sigma)
+
+
 def test_a_car_that_does_not_change_is_hardly_taken_for_one_that_did() -> None:
     moved = []
     for seed in range(12):
         subject = window()
-        found = subject.update(recorded(exciting, 7.0, OTHER, 0.1, seed), [(0.1, 7.0)], NOISE)
+        found = subject.update(recorded(exciting, 7.0, OTHER, 0.1, seed), [(0.1, 7.0)], independent)
         assert found is not None
         moved.append(np.abs(found.rho - subject.rho) / subject.parameters.std)
         assert found.rho[-1] == pytest.approx(subject.rho[-1], abs=0.02)
@@ -122,7 +179,7 @@ def test_a_car_that_does_not_change_is_hardly_taken_for_one_that_did() -> None:
 
 
 def test_residuals_are_as_large_as_the_noise() -> None:
-    found = window().update(recorded(exciting, 7.0, OTHER, 0.1), [(0.1, 7.0)], NOISE)
+    found = window().update(recorded(exciting, 7.0, OTHER, 0.1), [(0.1, 7.0)], independent)
     assert found is not None
     assert found.residuals.shape == (len(found.times), 3)
     assert np.sqrt(np.mean(found.residuals[:, :2] ** 2)) == pytest.approx(POSITION, rel=0.25)

@@ -24,9 +24,9 @@ from kraft.driving.clearance import (
     STEADY,
 )
 from kraft.driving.control_settings import Dwa, Geometric, Kinodynamic, Lqr, Mppi, Nmpc, Predictive, RolloutCost
-from kraft.driving.estimation.adaptive import MOVED_AFTER, SLOW
+from kraft.driving.estimation.adaptive import MOVED_AFTER, SIGNIFICANT, SLOW
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
-from kraft.driving.estimation.sliding_window import DRIVE_MAX, LAG, PRIOR_CORRELATION, PRIOR_SAMPLES
+from kraft.driving.estimation.sliding_window import DRIVE_MAX, LAG, NOTICED, PRIOR_CORRELATION, PRIOR_SAMPLES
 from kraft.driving.method import Adaptive, CalibratedBound, Clearance, Filter, Method, PlannerSettings, load_method
 from kraft.driving.proposer import PATIENCE, PROGRESS, PROGRESS_TIME, RISE, STALLED
 from kraft.driving.replanner import ROOM
@@ -161,6 +161,8 @@ def test_quoted_constants_are_those_in_the_code() -> None:
         f"costs at most {RETAINED_TOLERANCE:g} s more", f"a stop of less than {DRIVE_MAX:g} s",
         f"the settings count as {PRIOR_SAMPLES:g} independent poses, and as {PRIOR_CORRELATION:g} correlation times",
         f"that are {LAG:g} s apart", f"than its noise explains for {MOVED_AFTER:g} s", f"A car slower than {SLOW:g} m/s gets",
+        f"by the covariance of the new ones, is over {SIGNIFICANT:g}",
+        f"exceeds {NOTICED:g}. The next cycles test the motion since then as well",
         f"cheaper by {PROGRESS * PROGRESS_TIME:g} s in {PROGRESS_TIME:g} s", f"with {100 * ROOM:g} cm of clearance",
         f"From {NEAR:g} s on (`NEAR`)", f"{LATER_DELTA:g} m or what the pose's error asks for",
         f"a growth of at most {LATER_GROWTH:g} m/s, and at most {LATER_DELAY:g} s for the speed",

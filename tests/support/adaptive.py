@@ -97,7 +97,8 @@ def window() -> SlidingWindow:
     process[:3] = SETTINGS.drift, SETTINGS.drift, math.radians(SETTINGS.heading_drift_deg)
     low, high = vehicle().control_bounds.T
     control = SETTINGS.control_share * (high - low)
-    return SlidingWindow(online_parameters(vehicle(), SETTINGS), 6.0, SETTINGS.step, process, control, 20)
+    turning = np.append(CarModel(vehicle()).acts_on_turning(), False)
+    return SlidingWindow(online_parameters(vehicle(), SETTINGS), 6.0, SETTINGS.step, process, control, 20, turning)
 
 
 def correlated(rng: np.random.Generator, count: int, sigmas: Floats, share: float, time: float = 0.7) -> Matrix:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -92,9 +93,11 @@ class AdaptiveEstimator:
         process = np.full(len(model.vehicle.state), settings.speed_drift)
         process[[model.x, model.y]], process[model.theta] = settings.drift, math.radians(settings.heading_drift_deg)
         low, high = model.vehicle.control_bounds.T
+        turning = np.zeros(len(parameters.specs), bool)
+        turning[: parameters.model_size] = model.acts_on_turning()
         self._window = SlidingWindow(
             parameters, settings.window, settings.step, process, settings.control_share * (high - low),
-            settings.iterations,
+            settings.iterations, turning,
         )  # fmt: skip
         self._values: Floats = np.array(list(model.vehicle.parameters.values()))  # of the vehicle, in use
         self._identified: Identified | None = None
@@ -161,7 +164,7 @@ class AdaptiveEstimator:
             return
         if self._camera is not None:
             drive = replace(drive, poses=self._camera.on_floor(drive.poses, self._filter.floor))
-        identified = self._window.update(drive, self._history.moving, self._noise.of_one_pose(drive.interval))
+        identified = self._window.update(drive, self._history.moving, partial(self._noise.of_one_pose, drive.interval))
         if identified is not None:
             self.learn(Learned(identified, drive.interval))
 
@@ -275,7 +278,7 @@ def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
     ranges = vehicle.ranges
     known = frozenset(name for name, allowed in ranges.items() if allowed.is_known)
     specs = [
-        ParameterSpec(name, value, ranges[name].low, ranges[name].high, ranges[name].std or 1.0, "", "")
+        ParameterSpec(name, value, ranges[name].low, ranges[name].high, ranges[name].std or 1.0, ranges[name].unit, "")
         for name, value in vehicle.parameters.items()
     ]
     frozen = known if settings.identify else frozenset(vehicle.parameters)

@@ -9,7 +9,7 @@ residuals of the identification measure it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -26,7 +26,7 @@ from kraft.sysid.interface import Noise
 from kraft.sysid.optimiser import optimise
 from kraft.sysid.parameters import Parameters
 from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, threshold
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Bools, Floats, Matrix
 
 POSES_MIN: Final = 5
 """Number of poses below which a stretch of motion is not used."""
@@ -34,18 +34,18 @@ ROBUST: Final = 2.0
 """Residual, in standard deviations, above which the weight of a pose decreases."""
 MARGIN: Final = 0.5
 """Time before and after a motion that belongs to it, s: standstill determines the speed there."""
-RECENT: Final = 1.5
-"""Newest motion of the window in which a parameter may differ from what it was before, s."""
+RECENT: Final = 1.0
+"""Shortest motion in which a parameter may differ from what it was before, s."""
 EARLIER: Final = 1.0
-"""Least motion before that with which the newest one is compared, s."""
+"""Least motion before that, in the window, with which it is compared, s."""
 SIGNIFICANT: Final = 1.0
 """Change of a parameter, in standard deviations, up to which it is taken as noise."""
+NOTICED: Final = 1.5
+"""Change of a parameter, in standard deviations, from which on a new change is followed."""
 CHANGE_STD: Final = 2.0
 """Standard deviation of a change, as a multiple of that of the parameter's prior."""
 INFORMATIVE: Final = 0.3
 """Information on a parameter, as a share of that of its prior, below which its change is not looked for."""
-RELAXATIONS: Final = 2
-"""Iterations that fit the states of the newest motion."""
 REST_BEFORE: Final = 0.5
 """Time before the drive in which the vehicle rested at its start, s."""
 DRIVE_MAX: Final = 30.0
@@ -142,16 +142,34 @@ class Identified:
     constant_covariance: Matrix
 
 
+@dataclass(frozen=True)
+class _Change:
+    """Change of a parameter at `begin` (s): its `significance`, in standard deviations, and rho after it."""
+
+    begin: float
+    significance: float
+    rho: Floats
+    covariance: Matrix
+
+
 class SlidingWindow:
     """Identifies rho from the last `length` s in which the vehicle moved; the prior is that of `parameters`.
 
-    rho is taken as constant in the window, except for one parameter of the model that may have changed: the one whose
-    score in the last `RECENT` s of motion is the most significant.  Its change is estimated with what the whole window
-    tells of all others, and shrunk by its significance, as in the estimator of James and Stein.
+    rho is taken as constant in the window, except for one parameter of the model that may have changed once: the
+    parameter and the time whose score is the most significant.  The times that are tried are `RECENT` s of motion ago,
+    and the one that the last updates found.  The change is estimated with what the motion before it tells of all
+    others, and shrunk by its significance, as in the estimator of James and Stein.  Lengths of the vehicle stay.
     """
 
     def __init__(
-        self, parameters: Parameters, length: float, step: float, process: Floats, control: Floats, iterations: int
+        self,
+        parameters: Parameters,
+        length: float,
+        step: float,
+        process: Floats,
+        control: Floats,
+        iterations: int,
+        turning: Bools,
     ) -> None:
         """Set the noise of the model.
 
@@ -162,11 +180,16 @@ class SlidingWindow:
             process: (nx,) standard deviation that the model adds, per square root of a second.
             control: (nu,) standard deviation of the applied control from the command.
             iterations: largest number of iterations of an update, which begins at the last one's result.
+            turning: (np,) whether a parameter acts on turning alone, see `VehicleModel.acts_on_turning`.
         """
         self.parameters = parameters
         self._length, self._step, self._iterations = length, step, iterations
         self._process, self._control = process, control
         self.rho = parameters.nominal.copy()
+        of_model = np.arange(len(parameters.specs)) < parameters.model_size
+        self._may_change = parameters.free & of_model & [spec.unit != "m" for spec in parameters.specs]
+        self._turning = turning
+        self._changed_at: float | None = None
 
     def set_std(self, k: int, std: float) -> None:
         """Set the standard deviation of the prior of parameter `k`."""
@@ -174,15 +197,18 @@ class SlidingWindow:
         specs[k] = replace(specs[k], std=std)
         self.parameters = replace(self.parameters, specs=tuple(specs))
 
-    def update(self, drive: Drive, moving: Sequence[tuple[float, float]], noise: Noise) -> Identified | None:
+    def update(
+        self, drive: Drive, moving: Sequence[tuple[float, float]], noise: Callable[[float], Noise]
+    ) -> Identified | None:
         """Identify from a drive; `moving` are the times (begin, end) in which the vehicle moved, ascending (s).
 
-        `noise` is that of a pose.  Returns None if there is too little motion.
+        `noise` gives the noise of a pose for what is identified from a motion of so many seconds.  Returns None if
+        there is too little motion.
         """
         segments = self._segments(drive, moving, self._length)
         if not segments:
             return None
-        model = NoiseModel(noise, self._process, self._control, threshold(ROBUST, 3))
+        model = self._noise_model(noise(math.inf))
         problem = assemble(segments, 1, self.parameters, model)
         graph = FastGraph(problem)
         optimum = optimise(graph, self._start(problem, drive), self._iterations)
@@ -191,64 +217,116 @@ class SlidingWindow:
         covariance = np.zeros((len(free), len(free)))
         covariance[np.ix_(free, free)] = np.linalg.inv(optimum.factors.total_information[np.ix_(free, free)])
         times = np.concatenate([s.part.pose_times[s.poses] for s in segments])
-        found = self.rho.copy(), covariance
-        if sum(end - begin for begin, end in moving) >= RECENT + EARLIER:
-            found = self._changed(drive, self._segments(drive, moving, RECENT), model, covariance)
+        found = self._with_change(drive, moving, noise, covariance)
         residuals = -problem.pose_residuals(optimum.point)
         return Identified(*found, times, residuals, self.rho.copy(), covariance)
 
-    def _changed(
-        self, drive: Drive, segments: list[Segment], noise: NoiseModel, covariance: Matrix
+    def _with_change(
+        self, drive: Drive, moving: Sequence[tuple[float, float]], noise: Callable[[float], Noise], covariance: Matrix
     ) -> tuple[Floats, Matrix]:
-        """Rho and its covariance after the change of one parameter that the newest motion tells, if it tells any.
+        """Rho and its covariance after the most significant change; those of the window if none is significant."""
+        total = sum(end - begin for begin, end in moving)
+        best: _Change | None = None
+        for begin in (_begin_of_last(moving, RECENT), self._changed_at):
+            length = 0.0 if begin is None else sum(max(0.0, last - max(first, begin)) for first, last in moving)
+            if begin is None or length < RECENT - 1e-9 or length > min(self._length, total) - EARLIER:
+                continue
+            change = self._change(drive, self._segments(drive, moving, length), noise, length, covariance, begin)
+            if change is None or (begin != self._changed_at and change.significance < NOTICED):
+                continue
+            if best is None or change.significance > best.significance:
+                best = change
+        self._changed_at = None if best is None else best.begin
+        return (self.rho.copy(), covariance) if best is None else (best.rho, best.covariance)
 
-        The cost of the newest motion has the gradient g and the information A at the rho of the window, whose
-        covariance C includes A.  A change of a parameter along e then has the score -e g, with the variance
-        e (A - A C A) e if there was none, and moves what is known of the other parameters by -C A e.
+    def _change(
+        self,
+        drive: Drive,
+        segments: list[Segment],
+        noise: Callable[[float], Noise],
+        length: float,
+        covariance: Matrix,
+        begin: float,
+    ) -> _Change | None:
+        """The most significant change of one parameter that the newest motion tells; None if none is significant.
+
+        In the window poses have the noise of a long motion.  For what acts on turning alone, the poses of the newest
+        motion get that of a short one, and the optimum moves accordingly.  For the other parameters they do not: errors
+        of the position that change from place to place look like another speed.
         """
-        rho, size = self.rho.copy(), self.parameters.model_size
         if not segments:
-            return rho, covariance
-        gradient, information = self._at_rho(drive, segments, noise)
+            return None
+        brief, long = self._at_rho(drive, segments, (noise(length), noise(math.inf)))
+        free, square = self.parameters.free, np.ix_(*2 * (self.parameters.free,))
+        with_brief, shift = np.zeros_like(covariance), np.zeros_like(self.rho)
+        with_brief[square] = np.linalg.inv(np.linalg.inv(covariance[square]) + (brief[1] - long[1])[square])
+        shift[free] = -with_brief[square] @ (brief[0] - long[0])[free]
+        moved = brief[0] + brief[1] @ shift, brief[1]
+        found = [
+            self._change_of(begin, self._may_change & self._turning, *moved, self.rho + shift, with_brief),
+            self._change_of(begin, self._may_change & ~self._turning, *long, self.rho, covariance),
+        ]
+        return max(filter(None, found), key=lambda change: change.significance, default=None)
+
+    def _change_of(
+        self,
+        begin: float,
+        tested: Bools,
+        gradient: Floats,
+        information: Matrix,
+        rho: Floats,
+        covariance: Matrix,
+    ) -> _Change | None:
+        """The most significant change of one of the `tested` parameters from `rho`, the optimum of the whole window.
+
+        The cost of the newest motion has the gradient g and the information A there; the covariance C includes A.  A
+        change of a parameter along e has the score -e g, with the variance e (A - A C A) e if there was none, and moves
+        what is known of the other parameters by -C A e.
+        """
         variance = np.diag(information - information @ covariance @ information)
-        told = self.parameters.free & (variance > INFORMATIVE / self.parameters.std**2)
-        told[size:] = False
+        told = tested & (variance > INFORMATIVE / self.parameters.std**2)
         significance = np.where(told, np.abs(gradient) / np.sqrt(np.where(told, variance, 1.0)), 0.0)
         k = int(significance.argmax())
         if significance[k] <= SIGNIFICANT:
-            return rho, covariance
+            return None
         total = variance[k] + (CHANGE_STD * self.parameters.std[k]) ** -2.0
         share = 1.0 - (SIGNIFICANT / significance[k]) ** 2
         direction = -covariance @ information[:, k]
         direction[k] += 1.0
         direction[~self.parameters.free] = 0.0
-        changed = rho - share * gradient[k] / total * direction
-        return self.parameters.within_bounds(changed), covariance + share / total * np.outer(direction, direction)
+        changed = self.parameters.within_bounds(rho - share * gradient[k] / total * direction)
+        return _Change(
+            begin, float(significance[k]), changed, covariance + share / total * np.outer(direction, direction)
+        )
 
-    def _at_rho(self, drive: Drive, segments: list[Segment], noise: NoiseModel) -> tuple[Floats, Matrix]:
-        """Gradient (np,) and information (np, np) of the cost of segments at the window's rho, with optimal states."""
-        problem = assemble(segments, 1, self.parameters, noise)
-        graph, point = FastGraph(problem), self._start(problem, drive)
-        for _ in range(RELAXATIONS):
+    def _at_rho(
+        self, drive: Drive, segments: list[Segment], noises: Sequence[Noise]
+    ) -> Iterator[tuple[Floats, Matrix]]:
+        """Gradient (np,) and information (np, np) of the cost of segments at the window's rho, with each noise.
+
+        The states, about which motion is nearly linear, are optimal for the first noise.
+        """
+        problem = assemble(segments, 1, self.parameters, self._noise_model(noises[0]))
+        graph = FastGraph(problem)
+        graph.linearise(self._start(problem, drive))
+        graph.reduce(0.0)
+        point = graph.moved(np.zeros_like(self.rho))
+        for noise in noises:
+            graph = FastGraph(replace(problem, noise=self._noise_model(noise)))
             graph.linearise(point)
-            graph.reduce(0.0)
-            point = graph.moved(np.zeros_like(self.rho))
-        graph.linearise(point)
-        factors = graph.reduce(0.0)
-        return factors.gradient[0], factors.information[0]
+            factors = graph.reduce(0.0)
+            yield factors.gradient[0], factors.information[0]
+
+    def _noise_model(self, noise: Noise) -> NoiseModel:
+        return NoiseModel(noise, self._process, self._control, threshold(ROBUST, 3))
 
     def _segments(self, drive: Drive, moving: Sequence[tuple[float, float]], length: float) -> list[Segment]:
         """Segments of the last `length` s of motion, in the order of time."""
-        left, spans = length, list[tuple[float, float]]()
-        for begin, end in reversed(moving):
-            first = max(begin, end - left)
-            spans.append((first - MARGIN, end + MARGIN))
-            left -= end - first
-            if left <= 0.0:
-                break
+        since = _begin_of_last(moving, length)
+        spans = [(max(begin, since) - MARGIN, end + MARGIN) for begin, end in moving if end >= since]
         part = Part(drive.command_times, drive.commands, drive.times, drive.poses)
         segments = []
-        for begin, end in _joined(spans[::-1]):
+        for begin, end in _joined(spans):
             first, last = (int(k) for k in np.searchsorted(drive.times, (begin, end)))
             if last - first >= POSES_MIN:
                 segments.append(segment_between(part, 0, self._step, first, last, resting=True))
@@ -259,6 +337,17 @@ class SlidingWindow:
         times = np.concatenate([s.times for s in problem.chains.segments])
         states = np.column_stack([np.interp(times, drive.times, column) for column in drive.states.T])
         return Point(states, problem.actuators.mean(self.rho)[0], self.rho.copy())
+
+
+def _begin_of_last(moving: Sequence[tuple[float, float]], length: float) -> float:
+    """Time at which the last `length` s of motion begin, or all motion if there is less; infinite without any."""
+    first = math.inf
+    for begin, end in reversed(moving):
+        first = max(begin, end - length)
+        length -= end - first
+        if length <= 0.0:
+            break
+    return first
 
 
 def _joined(spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -319,12 +408,18 @@ class NoiseEstimate:
             share = (self.stated_share + weight * measured) / (1.0 + weight)
         return NoiseEstimate(variance, share, self.time, self.stated_variance, self.stated_share)
 
-    def _inflation(self, interval: float) -> Floats:
-        """Number (3,) of poses, `interval` s apart, with the information of an independent one."""
+    def _inflation(self, interval: float, length: float = math.inf) -> Floats:
+        """Number (3,) of poses, `interval` s apart, with the information of an independent one, see `of_one_pose`."""
         kept = math.exp(-interval / self.time)
-        return 1.0 - self.share + self.share * (1.0 + kept) / (1.0 - kept)
+        density = (1.0 - kept**2) / (1.0 - 2.0 * kept * math.cos(math.tau * interval / length) + kept**2)
+        return 1.0 - self.share + self.share * density
 
-    def of_one_pose(self, interval: float) -> Noise:
-        """Noise of a pose as if poses, `interval` s apart, were independent: with the same information together."""
-        sigma = np.sqrt(self.variance * self._inflation(interval))
+    def of_one_pose(self, interval: float, length: float = math.inf) -> Noise:
+        """Noise of a pose as if poses, `interval` s apart, were independent: with the same information together.
+
+        That is the information on what varies once in `length` s: errors that vary more slowly change little in a
+        short motion.  It is the white noise with the same spectral density at that frequency; of all time constants up
+        to `time` the one counts that has the largest.
+        """
+        sigma = np.sqrt(self.variance * self._inflation(interval, length))
         return Noise(float(math.sqrt(0.5 * (sigma[0] ** 2 + sigma[1] ** 2))), float(sigma[2]))
