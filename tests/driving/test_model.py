@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.driving import PROMPT, car, slow_car
 
-from kraft.driving.vehicle_model import SETTLING_TIME, CarModel
+from kraft.driving.vehicle_model import SETTLING_TIME, CarModel, model_of
 from kraft.errors import Code, InputError
 from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.load import load_vehicle
@@ -139,3 +139,21 @@ def test_changed_parameters_do_not_change_other_models_of_the_vehicle() -> None:
     curvature = other.curvature(0.3)
     model.set_parameters(vehicle.with_parameters({"L": 0.5}).parameter_array)
     assert other.curvature(0.3) == CarModel(vehicle).curvature(0.3) == curvature
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("mushr-force", {"L", "phi_diff"}),
+        ("jackal", {"track", "tau_turn"}),
+        ("unicycle2", {"alpha_max"}),
+        ("car", {"understeer", "slide"}),  # scrub slows the car down by the angle of its wheels
+    ],
+)
+def test_parameters_that_act_on_turning_alone_are_told_from_those_that_act_on_the_speed(
+    name: str, expected: set[str]
+) -> None:
+    subject = model_of(load_vehicle(name))
+    found = {p for p, acts in zip(subject.vehicle.parameters, subject.acts_on_turning(), strict=True) if acts}
+    assert found == expected
+    assert subject.parameters == pytest.approx(list(subject.vehicle.parameters.values()))

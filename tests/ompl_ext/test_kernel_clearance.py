@@ -103,6 +103,22 @@ def test_the_spare_clearance_of_a_pose_never_exceeds_the_exact_clearance(
             assert exact.distance(x, y, theta) > 0.0
 
 
+@given(seeds, st.sampled_from([Settings(), Settings(excess=0.05)]))
+@settings(deadline=None, max_examples=15)
+def test_clearances_of_many_poses_agree_with_the_check_of_each(seed: int, chosen: Settings) -> None:
+    workspace, footprint = random_workspace(seed), Footprint(0.44, 0.28, -0.005)
+    dirt = DirtSolver(replace(BENCHMARK, footprint=footprint), workspace, GOAL, NO_SAFETY, chosen, capacity=10)
+    poses = np.column_stack([points(seed, 60, 0.1, 2.9), np.random.default_rng(seed).uniform(-7.0, 7.0, 60)])
+    exact, centre = ExactClearance(workspace, footprint), ExactClearance(workspace, POINT)
+    for pose, found in zip(poses, dirt.clearances(poses), strict=True):
+        slack = dirt.pose_slack(*pose)
+        assert (found < 0.0) == (slack < 0.0)
+        assert slack <= found + 1e-6
+        assert found <= exact.distance(*pose) + FCL_ERROR
+        if found >= 0.0:  # and not only the disc around the body
+            assert found >= centre.distance(*pose) - footprint.reach - 0.06
+
+
 @given(seeds, st.sampled_from([1, 5, 40]))
 @settings(deadline=None, max_examples=15)
 def test_the_least_distance_of_poses_is_the_smallest_exact_one(seed: int, count: int) -> None:
