@@ -34,6 +34,8 @@ ROBUST: Final = 2.0
 """Residual, in standard deviations, above which the weight of a pose decreases."""
 MARGIN: Final = 0.5
 """Time before and after a motion that belongs to it, s: standstill determines the speed there."""
+ROUNDING: Final = 1e-9
+"""Difference of two times by rounding, s."""
 RECENT: Final = 1.0
 """Shortest motion in which a parameter may differ from what it was before, s."""
 EARLIER: Final = 1.0
@@ -225,13 +227,9 @@ class SlidingWindow:
         self, drive: Drive, moving: Sequence[tuple[float, float]], noise: Callable[[float], Noise], covariance: Matrix
     ) -> tuple[Floats, Matrix]:
         """Rho and its covariance after the most significant change; those of the window if none is significant."""
-        total = sum(end - begin for begin, end in moving)
         best: _Change | None = None
         for begin in (_begin_of_last(moving, RECENT), self._changed_at):
-            length = 0.0 if begin is None else sum(max(0.0, last - max(first, begin)) for first, last in moving)
-            if begin is None or length < RECENT - 1e-9 or length > min(self._length, total) - EARLIER:
-                continue
-            change = self._change(drive, self._segments(drive, moving, length), noise, length, covariance, begin)
+            change = None if begin is None else self._change(drive, moving, noise, covariance, begin)
             if change is None or (begin != self._changed_at and change.significance < NOTICED):
                 continue
             if best is None or change.significance > best.significance:
@@ -242,21 +240,24 @@ class SlidingWindow:
     def _change(
         self,
         drive: Drive,
-        segments: list[Segment],
+        moving: Sequence[tuple[float, float]],
         noise: Callable[[float], Noise],
-        length: float,
         covariance: Matrix,
         begin: float,
     ) -> _Change | None:
-        """The most significant change of one parameter that the newest motion tells; None if none is significant.
+        """The most significant change of one parameter at `begin` s; None if none is significant.
 
-        In the window poses have the noise of a long motion.  For what acts on turning alone, the poses of the newest
-        motion get that of a short one, and the optimum moves accordingly.  For the other parameters they do not: errors
-        of the position that change from place to place look like another speed.
+        In the window poses have the noise of a long motion.  For what acts on turning alone, the poses since `begin`
+        get that of a short one, and the optimum moves accordingly.  For the other parameters they do not: errors of the
+        position that change from place to place look like another speed.
         """
+        since, total = (sum(max(0.0, last - max(first, t)) for first, last in moving) for t in (begin, -math.inf))
+        if not RECENT - ROUNDING <= since <= min(self._length, total) - EARLIER:
+            return None
+        segments = self._segments(drive, moving, since)
         if not segments:
             return None
-        brief, long = self._at_rho(drive, segments, (noise(length), noise(math.inf)))
+        brief, long = self._at_rho(drive, segments, (noise(since), noise(math.inf)))
         free, square = self.parameters.free, np.ix_(*2 * (self.parameters.free,))
         with_brief, shift = np.zeros_like(covariance), np.zeros_like(self.rho)
         with_brief[square] = np.linalg.inv(np.linalg.inv(covariance[square]) + (brief[1] - long[1])[square])
