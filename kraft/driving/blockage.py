@@ -19,7 +19,11 @@ from ompl_ext.vehicle import Vehicle
 MOVED: Final = (0.06, 0.15)
 """Distance (m) and turn (rad) that show that a vehicle moves: more than the error of an estimate at rest."""
 INTENDED: Final = 0.2
-"""Travel that plans intended, ahead less backwards, below which a vehicle that stands is not blocked, m."""
+"""Travel that plans intended, ahead less backwards, below which a vehicle that stands is not blocked, m.
+
+It becomes less with the time for which the vehicle stands: one that seems to have a weak drive, because it does not
+move, has plans that hardly intend to move.
+"""
 GAP: Final = 0.1
 """Distance between the vehicle and what it cannot push, m."""
 DEPTH: Final = 0.2
@@ -48,7 +52,8 @@ class Blockage:
         elif reference.kind is ReferenceKind.PLAN:
             self._on_plan += elapsed
             self._intended += elapsed * self._intended_speed(reference, time)
-        if self._on_plan < self._patience or abs(self._intended) < INTENDED:
+        least = max(MOVED[0], INTENDED * self._patience / max(self._on_plan, self._patience))
+        if self._on_plan < self._patience or abs(self._intended) < least:
             return None
         self._place = None
         return self._obstacle(pose, math.copysign(1.0, self._intended))

@@ -43,6 +43,12 @@ def test_a_vehicle_that_stands_on_a_plan_is_blocked_after_its_patience_and_again
     assert watched(resting, reference()) == (4, 9)
 
 
+def test_a_vehicle_whose_plans_hardly_intend_to_move_is_blocked_after_longer() -> None:
+    """One that pushes without effect is identified as weak, and its plans are as slow."""
+    cycles = watched(np.tile(STATE, (20, 1)), reference(0.02))
+    assert cycles == (13,)  # after 3.2 s, when 0.2 m over 3.2 have been intended
+
+
 def test_a_vehicle_that_moves_or_turns_is_not_blocked() -> None:
     moving = STATE + np.outer(np.arange(20), [0.0, 0.02, 0.0, 0.0])
     turning = STATE + np.outer(np.arange(20), [0.0, 0.0, 0.05, 0.0])
