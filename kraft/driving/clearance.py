@@ -28,6 +28,7 @@ from ompl_ext.vehicle import Vehicle
 NEAR = 1.5  # time after a commit for which plans keep the bound as it is now (s)
 LATER_DELTA = 0.1  # bound at rest that is expected afterwards, at least (m)
 LATER_GROWTH, LATER_DELAY = 0.08, 0.1  # growth of the bound, and its part for the speed, at most (m/s, s)
+KNOWN_DELAY = 0.1  # part of the bound for the speed that remains when the delay counts as known, at most (s)
 COVER_EXCESS = 0.05  # of the discs that cover the footprint where the bound is measured, as a share of its width
 UNCORRECTED = 0.5  # time for which a wrong acceleration moves the vehicle until the controller corrects its effect (s)
 
@@ -52,12 +53,15 @@ class DeviationBound:
         """Bound times a factor."""
         return DeviationBound(factor * self.delta, factor * self.per_speed, factor * self.per_time, self.horizon)
 
-    def kept(self, share: float, part: float) -> DeviationBound:
+    def kept(self, share: float, part: float, narrow: bool) -> DeviationBound:
         """`part` of the clearance that plans keep: a share of the bound at rest, and all that is for the speed.
 
         A place may be too narrow for the bound at rest; for the rest of the bound the vehicle only has to drive slowly.
+        Where it is so `narrow` that hardly a speed is left, the share is also that of what remains for the speed when
+        the delay is known: then only a delay that is not known yet makes the vehicle slow.
         """
-        return replace(self.scaled(share * part), per_speed=part * self.per_speed)
+        spared = (1.0 - share) * min(self.per_speed, KNOWN_DELAY) if narrow else 0.0
+        return replace(self.scaled(share * part), per_speed=part * (self.per_speed - spared))
 
     @property
     def later(self) -> DeviationBound:
@@ -256,12 +260,12 @@ class Levels:
 
     def set(self, number: int, eased: bool) -> DirtSolver:
         """Ask for the clearance of a level, `eased` for the rest of a plan that keeps it; returns its solver."""
-        level, part = self.all[number], HYSTERESIS if eased else 1.0
-        dirt, near = self._solvers.planning, self.bound.kept(level.share, part)
+        level, part, narrow = self.all[number], HYSTERESIS if eased else 1.0, number >= self.wide
+        dirt, near = self._solvers.planning, self.bound.kept(level.share, part, narrow)
         self._solvers.checking.set_bound(near.delta, near.per_speed, near.per_time, near.horizon)
         dirt.set_bound(near.delta + part * level.margin, near.per_speed, near.per_time, near.horizon)
         if dirt is not self._solvers.checking:
-            later = self.bound.later.kept(level.share, part)
+            later = self.bound.later.kept(level.share, part, narrow)
             dirt.set_far(NEAR, later.delta + part * level.margin, later.per_speed)
         dirt.set_cycle(level.foresight)
         return dirt
@@ -276,7 +280,7 @@ class Levels:
 
     def require(self) -> None:
         """Require what suffices when the last plan is checked again."""
-        self._solvers.set_bound(self.bound.kept(self.share, self._settings.recheck))
+        self._solvers.set_bound(self.bound.kept(self.share, self._settings.recheck, self.kept >= self.wide))
 
     def keep(self, number: int, stalled: bool) -> None:
         """Record that a plan of a level is proposed; if the vehicle is `stalled`, the next level is tried as well.

@@ -43,6 +43,7 @@ CONVERGED = 0.1  # fall of the best cost during a quarter of the iterations belo
 PATIENCE = 0.4  # share of the iterations after which a search without a way to the goal ends
 LEVEL_GAIN = 2.0  # that a plan must save to keep less clearance than the last one (s)
 PROGRESS_TIME = 2.0  # time in which plans get cheaper if the vehicle gets on (s)
+INSISTENCE = 1.25  # time for which plans may keep less clearance for any gain, if they do not (s)
 PROGRESS = 0.4  # share of that time by which they get cheaper, at least
 RISE = 0.4  # that a plan may cost to keep more clearance than the last one, less than a regression (s)
 PROBES = 2  # attempts at retaining a rest at a level before it is searched at
@@ -111,8 +112,7 @@ class Proposer:
         self._recovering = False
         self._levels = Levels(solvers, settings)
         self._grown: tuple[DirtSolver, Plan] | None = None
-        self._costs: list[float] = []  # of the latest plans at one level or lower ones, s
-        self._gets_on = True
+        self._least, self._waited = math.inf, 0  # cost of the cheapest plan (s), and the number of cycles since then
         self._budget = 0  # iterations of the cycle's largest budget that are left
 
     def set_settings(self, settings: PlannerSettings) -> None:
@@ -203,13 +203,18 @@ class Proposer:
         """Note the cost of a plan (s), and whether plans have become cheaper in the latest cycles.
 
         Each plan may put off the part that asks for more clearance than there is, so that the vehicle never gets on.
-        A level with more clearance than before (`rises`) gets the whole time.
+        A level with more clearance than before (`rises`) gets the whole time.  After `INSISTENCE` without success the
+        costs may have another reason, such as a weaker drive.
         """
-        latest = round(PROGRESS_TIME / self._settings.cycle)
-        self._costs = [cost] if rises else [*self._costs[-latest:], cost]
-        self._gets_on = len(self._costs) <= latest or self._costs[0] - cost >= PROGRESS * PROGRESS_TIME
-        if not self._gets_on:
-            self._costs = [cost]
+        self._waited += 1
+        insists = self._waited * self._settings.cycle > PROGRESS_TIME + INSISTENCE
+        if rises or insists or self._least - cost >= PROGRESS * PROGRESS_TIME:
+            self._least, self._waited = cost, 0
+
+    @property
+    def _gets_on(self) -> bool:
+        """Whether plans have become cheaper lately."""
+        return self._waited * self._settings.cycle <= PROGRESS_TIME
 
     def _is_compared(self, number: int, found: Proposal, rest: Rest | None) -> bool:
         """Whether the plan found at a level costs more than what was left, and the next level is tried as well.
@@ -228,7 +233,7 @@ class Proposer:
         waiting = levels.downwards(levels.kept)
         if levels.stalled and levels.kept + 1 not in waiting:
             waiting.insert(1, levels.kept + 1)
-        if levels.tries_higher:
+        if levels.tries_higher and self._gets_on:
             higher = levels.upwards()
             while higher[0] > 0 and self._holds(query, higher[0]) and self._holds(query, higher[0] - 1):
                 higher[0] -= 1

@@ -13,6 +13,7 @@ from support.replanner import mushr, proposals, replanner, start, turns
 
 from kraft.driving.clearance import (
     HYSTERESIS,
+    KNOWN_DELAY,
     LATER_DELAY,
     LATER_DELTA,
     LATER_GROWTH,
@@ -29,7 +30,7 @@ from kraft.driving.clearance import (
 )
 from kraft.driving.messages import Uncertainty
 from kraft.driving.method import CalibratedBound, Clearance, PlannerSettings
-from kraft.driving.proposer import RISE, STALLED, Proposal, _Query
+from kraft.driving.proposer import INSISTENCE, PROGRESS, PROGRESS_TIME, RISE, STALLED, Proposal, _Query
 from kraft.driving.replanner import Replanner
 from kraft.driving.rest import RETAINED_TOLERANCE, total_cost
 from ompl_ext.solver import DirtSolver
@@ -122,13 +123,20 @@ def test_a_level_asks_for_its_share_its_margin_and_its_foresight() -> None:
     assert solvers().checking.safety.cycle == 1.0
 
 
-def test_every_level_keeps_all_of_the_bound_that_is_for_the_speed() -> None:
-    subject = levels()
-    subject.bound = DeviationBound(0.1, 0.2, 0.05, 1.5)
-    for number in range(len(subject.all)):
-        assert subject.set(number, eased=False).safety.delta_per_speed == 0.2
-        assert subject.set(number, eased=True).safety.delta_per_speed == pytest.approx(0.2 * HYSTERESIS)
-        assert solvers().checking.safety.delta_per_speed == pytest.approx(0.2 * HYSTERESIS)
+@pytest.mark.parametrize("unknown", [0.0, 0.25])
+def test_only_narrow_levels_give_up_what_the_bound_asks_for_the_speed_and_never_that_of_an_unknown_delay(
+    unknown: float,
+) -> None:
+    subject, per_speed = levels(), KNOWN_DELAY + unknown
+    subject.bound = DeviationBound(0.1, per_speed, 0.05, 1.5)
+    for number, level in enumerate(subject.all):
+        expected = per_speed if number < subject.wide else unknown + level.share * KNOWN_DELAY
+        assert subject.set(number, eased=False).safety.delta_per_speed == pytest.approx(expected)
+        assert subject.set(number, eased=True).safety.delta_per_speed == pytest.approx(expected * HYSTERESIS)
+        assert solvers().checking.safety.delta_per_speed == pytest.approx(expected * HYSTERESIS)
+        subject.kept = number
+        subject.require()
+        assert solvers().checking.safety.delta_per_speed == pytest.approx(expected * BOUND.recheck)
 
 
 def test_the_later_part_of_a_plan_keeps_what_the_bound_is_expected_to_be_then() -> None:
@@ -257,8 +265,23 @@ def test_a_vehicle_that_does_not_get_on_takes_any_gain_of_less_clearance(monkeyp
     for number in range(1, 6):
         proposer.propose(number, start(), replace(plan, cost=10.5))
         kept.append(levels.kept)
-    assert kept[:2] == [0, 0]
-    assert kept[2] == 1
+    assert kept[:3] == [0, 0, 0]  # it was cheaper than the first plan
+    assert kept[3] == 1
+
+
+def test_a_vehicle_gets_on_only_if_plans_are_cheaper_than_the_cheapest_before() -> None:
+    """Costs that rise and fall are no progress; after `INSISTENCE` the present cost counts as the cheapest one."""
+    subject, _ = driven(DeviationBound(0.01), cycle=0.5)
+    proposer = subject._proposer
+    proposer._note_progress(10.0, rises=True)
+    found = []
+    for k in range(10):
+        proposer._note_progress(11.0 if k % 2 == 0 else 9.5, rises=False)
+        found.append(proposer._gets_on)
+    waits, insists = math.floor(PROGRESS_TIME / 0.5), math.floor(INSISTENCE / 0.5)
+    assert found == [True] * waits + [False] * insists + [True] * (10 - waits - insists)
+    proposer._note_progress(9.5 - PROGRESS * PROGRESS_TIME, rises=False)
+    assert proposer._waited == 0
 
 
 def test_the_same_rest_is_retained_in_every_run() -> None:

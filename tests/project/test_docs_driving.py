@@ -15,6 +15,7 @@ from kraft.config import bundled
 from kraft.driving.clearance import (
     COVER_EXCESS,
     HYSTERESIS,
+    KNOWN_DELAY,
     LATER_DELAY,
     LATER_DELTA,
     LATER_GROWTH,
@@ -28,7 +29,7 @@ from kraft.driving.estimation.adaptive import MOVED_AFTER, SIGNIFICANT, SLOW
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
 from kraft.driving.estimation.sliding_window import DRIVE_MAX, LAG, NOTICED, PRIOR_CORRELATION, PRIOR_SAMPLES
 from kraft.driving.method import Adaptive, CalibratedBound, Clearance, Filter, Method, PlannerSettings, load_method
-from kraft.driving.proposer import PATIENCE, PROGRESS, PROGRESS_TIME, RISE, STALLED
+from kraft.driving.proposer import INSISTENCE, PATIENCE, PROGRESS, PROGRESS_TIME, RISE, STALLED
 from kraft.driving.replanner import ROOM
 from kraft.driving.rest import CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
 from kraft.scenario import Sensing
@@ -163,8 +164,9 @@ def test_quoted_constants_are_those_in_the_code() -> None:
         f"that are {LAG:g} s apart", f"than its noise explains for {MOVED_AFTER:g} s", f"A car slower than {SLOW:g} m/s gets",
         f"by the covariance of the new ones, is over {SIGNIFICANT:g}",
         f"exceeds {NOTICED:g}. The next cycles test the motion since then as well",
-        f"cheaper by {PROGRESS * PROGRESS_TIME:g} s in {PROGRESS_TIME:g} s", f"with {100 * ROOM:g} cm of clearance",
-        f"From {NEAR:g} s on (`NEAR`)", f"{LATER_DELTA:g} m or what the pose's error asks for",
+        f"If for {PROGRESS_TIME:g} s no plan was cheaper by {PROGRESS * PROGRESS_TIME:g} s than the cheapest one before",
+        f"no higher level is tried, for {INSISTENCE:g} s at most", f"with {100 * ROOM:g} cm of clearance",
+        f"up to {KNOWN_DELAY:g} s (`KNOWN_DELAY`)", f"From {NEAR:g} s on (`NEAR`)", f"{LATER_DELTA:g} m or what the pose's error asks for",
         f"a growth of at most {LATER_GROWTH:g} m/s, and at most {LATER_DELAY:g} s for the speed",
         f"exceed it by at most {100 * COVER_EXCESS:g} % of its width",
         f"from 0 to {DELAY_MAX:g} s", f"| none | {SOON:g} cycles |",
