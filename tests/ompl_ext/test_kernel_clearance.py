@@ -109,14 +109,14 @@ def test_clearances_of_many_poses_agree_with_the_check_of_each(seed: int, chosen
     workspace, footprint = random_workspace(seed), Footprint(0.44, 0.28, -0.005)
     dirt = DirtSolver(replace(BENCHMARK, footprint=footprint), workspace, GOAL, NO_SAFETY, chosen, capacity=10)
     poses = np.column_stack([points(seed, 60, 0.1, 2.9), np.random.default_rng(seed).uniform(-7.0, 7.0, 60)])
-    exact, centre = ExactClearance(workspace, footprint), ExactClearance(workspace, POINT)
+    exact = ExactClearance(workspace, footprint)
     for pose, found in zip(poses, dirt.clearances(poses), strict=True):
-        slack = dirt.pose_slack(*pose)
-        assert (found < 0.0) == (slack < 0.0)
-        assert slack <= found + 1e-6
-        assert found <= exact.distance(*pose) + FCL_ERROR
-        if found >= 0.0:  # and not only the disc around the body
-            assert found >= centre.distance(*pose) - footprint.reach - 0.06
+        true = exact.distance(*pose)
+        assert found <= true + FCL_ERROR
+        if true > 0.0:
+            assert found >= true - 0.2  # what the discs exceed the footprint by, and what the cells lose
+        if dirt.pose_slack(*pose) < 0.0:  # not free by the disc around the body either
+            assert found < 0.0
 
 
 @given(seeds, st.sampled_from([1, 5, 40]))
