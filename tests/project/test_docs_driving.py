@@ -29,9 +29,9 @@ from kraft.driving.estimation.adaptive import MOVED_AFTER, SIGNIFICANT, SLOW
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
 from kraft.driving.estimation.sliding_window import DRIVE_MAX, LAG, NOTICED, PRIOR_CORRELATION, PRIOR_SAMPLES
 from kraft.driving.method import Adaptive, CalibratedBound, Clearance, Filter, Method, PlannerSettings, load_method
-from kraft.driving.proposer import INSISTENCE, PATIENCE, PROGRESS, PROGRESS_TIME, RISE, STALLED
+from kraft.driving.proposer import INSISTENCE, PATIENCE, PROBES_HIGHER, PROGRESS, PROGRESS_TIME, RISE, STALLED
 from kraft.driving.replanner import ROOM
-from kraft.driving.rest import CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
+from kraft.driving.rest import ATTEMPT_TOLERANCE, CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
 from kraft.scenario import Sensing
 from kraft.simulation.camera import BLURRED_SPEED, PRESETS
 
@@ -165,7 +165,7 @@ def test_quoted_constants_are_those_in_the_code() -> None:
         f"by the covariance of the new ones, is over {SIGNIFICANT:g}",
         f"exceeds {NOTICED:g}. The next cycles test the motion since then as well",
         f"If for {PROGRESS_TIME:g} s no plan was cheaper by {PROGRESS * PROGRESS_TIME:g} s than the cheapest one before",
-        f"no higher level is tried, for {INSISTENCE:g} s at most", f"with {100 * ROOM:g} cm of clearance",
+        f"no higher level is tried, for {INSISTENCE:g} s at most", f"and {ATTEMPT_TOLERANCE:g} s more after each attempt", f"with {100 * ROOM:g} cm of clearance",
         f"up to {KNOWN_DELAY:g} s (`KNOWN_DELAY`)", f"From {NEAR:g} s on (`NEAR`)", f"{LATER_DELTA:g} m or what the pose's error asks for",
         f"a growth of at most {LATER_GROWTH:g} m/s, and at most {LATER_DELAY:g} s for the speed",
         f"exceed it by at most {100 * COVER_EXCESS:g} % of its width",
@@ -174,4 +174,4 @@ def test_quoted_constants_are_those_in_the_code() -> None:
         f"less than {RISE:g} s more than the plan that is then found at the lower level",
     ):  # fmt: skip
         assert text in words
-    assert (STEADY, NARROW, CORRECTION_ATTEMPTS) == (2, (1.0, 0.5), 12)
+    assert (STEADY, NARROW, CORRECTION_ATTEMPTS, PROBES_HIGHER) == (2, (1.0, 0.5), 12, 4)
