@@ -16,15 +16,11 @@ from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernels import functions
 from ompl_ext.kernels.clearance import delta_at
 from ompl_ext.kernels.dirt import requires_safety, set_duration
-from ompl_ext.kernels.fine_field import TILE, fine_distance
+from ompl_ext.kernels.fine_field import fine_distance_anywhere
 from ompl_ext.kernels.functions import call_intervals
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     CYCLE,
-    FINE_COS,
     FINE_INVERSE,
-    FINE_SIN,
-    FINE_X,
-    FINE_Y,
     GOAL_X,
     GOAL_Y,
     GRID_INVERSE,
@@ -133,13 +129,9 @@ def distance(problem: Problem, signed: Matrix32, x: float, y: float) -> float:
     high = signed[row + 1, column] * (1.0 - u) + signed[row + 1, column + 1] * u
     value = low * (1.0 - v) + high * v
     if scalar[FINE_INVERSE] > 0.0:
-        dx, dy, inverse = x - scalar[FINE_X], y - scalar[FINE_Y], scalar[FINE_INVERSE]
-        u = (dx * scalar[FINE_COS] + dy * scalar[FINE_SIN]) * inverse
-        v = (dy * scalar[FINE_COS] - dx * scalar[FINE_SIN]) * inverse
-        if 0.0 <= u < problem.tile.shape[1] * TILE and 0.0 <= v < problem.tile.shape[0] * TILE:
-            fine = fine_distance(problem, x, y)
-            if fine * inverse > 0.5:  # none inside an obstacle
-                value = max(value, fine)
+        fine = fine_distance_anywhere(problem, x, y)
+        if fine * scalar[FINE_INVERSE] > 0.5:  # none inside an obstacle
+            value = max(value, fine)
     return value
 
 

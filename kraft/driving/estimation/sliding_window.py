@@ -419,8 +419,7 @@ class NoiseEstimate:
         """Noise of a pose as if poses, `interval` s apart, were independent: with the same information together.
 
         That is the information on what varies once in `length` s: errors that vary more slowly change little in a
-        short motion.  It is the white noise with the same spectral density at that frequency; of all time constants up
-        to `time` the one counts that has the largest.
+        short motion.  It is the white noise with the same spectral density at that frequency.
         """
         sigma = np.sqrt(self.variance * self._inflation(interval, length))
         return Noise(float(math.sqrt(0.5 * (sigma[0] ** 2 + sigma[1] ** 2))), float(sigma[2]))
