@@ -24,7 +24,7 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -236,29 +236,19 @@ def _tree(tree: TreeView | None, vehicle: Vehicle) -> list[Any] | None:
     if tree is None or not len(tree.states):
         return None
     counts = np.maximum(1, np.ceil(tree.durations / GRID - 1e-6)).astype(int)
-    places, parents, numbers = list[Floats](), list[int](), dict[int, int]()
-    advance, parameters = kernels(vehicle).advance, vehicle.parameter_array
-    axes = [vehicle.index("x"), vehicle.index("y")]
-
-    def step(state: Floats, control: Floats, duration: float) -> Floats:
-        after = np.empty_like(state)
-        advance(state, control, parameters, duration, after)
-        return after
-
-    for node in _branches(tree.parents, counts, POINTS):
-        before = numbers.get(int(tree.parents[node]), -1)
-        for place in _edge(tree, node, int(counts[node]), axes, step):
-            places.append(place)
-            parents.append(before)
-            before = len(places) - 1
-        numbers[node] = before
-    points = [np.rint(column / (2 * POINT)).astype(int) for column in np.array(places).T]
-    above = np.maximum(parents, 0)  # a point is near the one before
-    relative = [np.where(np.array(parents) >= 0, point - point[above], point) for point in points]
-    return [2 * POINT, relative[0].tolist(), relative[1].tolist(), parents]
+    nodes = _branches(tree.parents, counts, POINTS)
+    counts, above = counts[nodes], tree.parents[nodes]
+    ends = np.cumsum(counts)  # one more than the number of the last point of each node
+    lasts = np.full(len(tree.states), -1)
+    lasts[nodes] = ends - 1
+    before = np.arange(ends[-1]) - 1
+    before[ends - counts] = np.where(above >= 0, lasts[above], -1)
+    points = np.rint(_points(tree, nodes, counts, vehicle) / (2 * POINT)).astype(int)
+    relative = np.where(before[:, None] >= 0, points - points[before], points)  # a point is near the one before
+    return [2 * POINT, *relative.T.tolist(), before.tolist()]
 
 
-def _branches(parents: Ints, counts: Ints, most: int) -> list[int]:
+def _branches(parents: Ints, counts: Ints, most: int) -> Ints:
     """Nodes of some branches from the root, each after its parent; their `counts` are not more than `most` together.
 
     Multiples of the golden ratio choose leaves from all over the time in which the tree grew.
@@ -276,26 +266,27 @@ def _branches(parents: Ints, counts: Ints, most: int) -> list[int]:
             continue
         kept.update(dict.fromkeys(reversed(branch)))
         left -= points
-    return list(kept)
+        if left == 0:
+            break
+    return np.array(list(kept))
 
 
-def _edge(
-    tree: TreeView, node: int, count: int, axes: Sequence[int], step: Callable[[Floats, Floats, float], Floats]
-) -> Matrix:
-    """Points (count, 2) of the edge to a node, the last one at the node: m.
+def _points(tree: TreeView, nodes: Ints, counts: Ints, vehicle: Vehicle) -> Matrix:
+    """Points of the edges to `nodes`, the last one of each at its node: (sum of their `counts`, 2), m.
 
-    The model drives along the edge by `step`; where the planner had other parameters by then, the rest is spread over
-    the edge.
+    The model drives along the edges; where the planner had other parameters by then, the rest is spread over the edge.
     """
-    end, parent = tree.states[[node]][:, axes], int(tree.parents[node])
-    if parent < 0 or count == 1:
-        return np.asarray(end)
-    state, control = tree.states[parent], tree.controls[node]
-    duration = float(tree.durations[node]) / (count * SUBSTEPS)
-    driven = [state[axes]]
-    for k in range(count * SUBSTEPS):
-        state = step(state, control, duration)
-        if (k + 1) % SUBSTEPS == 0:
-            driven.append(state[axes])
-    share = np.linspace(0.0, 1.0, count + 1)[1:, None]
-    return np.asarray(np.array(driven[1:]) + share * (end - driven[-1]))
+    axes, roll_out = [vehicle.index("x"), vehicle.index("y")], kernels(vehicle).roll_out
+    ends, begins = tree.states[:, axes][nodes], np.cumsum(counts) - counts
+    points = np.repeat(ends, counts, axis=0)
+    for count in set(counts.tolist()) - {1}:
+        alike = np.flatnonzero((counts == count) & (tree.parents[nodes] >= 0))
+        driven = np.empty((len(alike), count * SUBSTEPS + 1, tree.states.shape[1]))
+        driven[:, 0] = tree.states[tree.parents[nodes[alike]]]
+        steps = tree.durations[nodes[alike]] / (count * SUBSTEPS)
+        roll_out(driven, np.ascontiguousarray(tree.controls[nodes[alike]]), vehicle.parameter_array, steps)
+        places = driven[:, SUBSTEPS::SUBSTEPS, axes]
+        share = np.linspace(0.0, 1.0, count + 1)[1:, None]
+        places += share * (ends[alike, None] - places[:, -1:])
+        points[begins[alike, None] + np.arange(count)] = places
+    return points
