@@ -131,6 +131,12 @@ class VehicleModel:
         rates: Matrix = (states[1] - state) / INSTANT
         return rates
 
+    def acceleration_at_rest(self, parameters: Floats) -> float:
+        """Acceleration at full power from rest with `parameters` (np,), in the weaker direction (m/s^2)."""
+        rest = np.zeros(len(self.vehicle.state))
+        full = (self.rates(rest, self.drive_control(drive, 0.0), parameters[None, :])[0] for drive in (-1.0, 1.0))
+        return min(abs(float(rates[self.v])) for rates in full)
+
     @property
     def parameters(self) -> Floats:
         """Present parameters (np,)."""

@@ -11,7 +11,8 @@ from support.adaptive import BEGIN, correlated, driven, exciting, pose_at, vehic
 from support.driving import RATE
 
 from kraft.driving.estimation import LevelCamera
-from kraft.driving.estimation.adaptive import AdaptiveEstimator, online_parameters
+from kraft.driving.estimation.adaptive import HOLDS, AdaptiveEstimator, online_parameters
+from kraft.driving.estimation.sliding_window import ConstantOfDrive
 from kraft.driving.method import Adaptive
 from kraft.driving.vehicle_model import CarModel
 from kraft.scenario import Sensing
@@ -150,3 +151,46 @@ def test_a_floor_is_no_steeper_than_floors_are() -> None:
     assert np.linalg.norm(subject.floor) == pytest.approx(math.sin(math.radians(40.0)))
     assert subject.floor[0] / subject.floor[1] == pytest.approx(-0.75)
     assert np.isfinite(CAMERA.on_floor(poses(), subject.floor)).all()
+
+
+def test_the_force_in_use_is_one_that_the_drive_can_hold() -> None:
+    """A car that pushes against a box until it stands seems weak, and pushed back; then no manoeuvre would stop."""
+    estimator = subject(camera())
+    uphill(estimator, np.zeros(2))
+    assert estimator.learned is not None
+    identified, parameters = estimator.learned.identified, online_parameters(vehicle(), Adaptive(kind="adaptive"))
+    rho = identified.rho.copy()
+    strength, along_y = parameters.index("v_delta"), parameters.index("a_y")
+    rho[strength], rho[along_y] = 0.1, -1.0
+    estimator.learn(replace(estimator.learned, identified=replace(identified, rho=rho)))
+    used = estimator._model.parameters
+    assert used[strength] == pytest.approx(0.1)
+    without = used.copy()
+    without[along_y] = 0.0
+    assert used[along_y] == pytest.approx(-HOLDS * estimator._model.acceleration_at_rest(without), rel=0.05)
+    back = estimator._model.drive_control(1.0, 0.0)
+    facing = np.array([0.0, 0.0, 0.5 * math.pi, 0.0])
+    assert estimator._model.advance(facing, back, 1.0)[3] > 0.0
+
+
+def test_windows_of_a_drive_that_do_not_overlap_are_joined() -> None:
+    rng, std = np.random.default_rng(0), np.array([0.25, 0.25])
+    prior, means, information = np.diag(std**-2), [], []
+    for _ in range(3):
+        root = rng.normal(size=(2, 2))
+        information.append(root @ root.T + np.eye(2))
+        means.append(rng.normal(size=2))
+    joined = ConstantOfDrive(std)
+    for k, (mean, told) in enumerate(zip(means, information, strict=True)):
+        of_window = np.linalg.inv(told + prior)
+        result = joined.update(10.0 * k, 10.0 * k + 9.0, of_window @ (told @ mean), of_window)
+    total = np.linalg.inv(sum(information) + prior)
+    assert result[1] == pytest.approx(total)
+    assert result[0] == pytest.approx(total @ sum(a @ m for a, m in zip(information, means, strict=True)))
+
+
+def test_windows_of_a_drive_that_overlap_count_once() -> None:
+    joined, mean, covariance = ConstantOfDrive(np.ones(2)), np.array([0.3, -0.1]), 0.1 * np.eye(2)
+    for end in (5.0, 5.0, 6.0):
+        assert joined.update(0.0, end, mean, covariance) == (pytest.approx(mean), pytest.approx(covariance))
+    assert np.trace(joined.update(5.5, 12.0, mean, covariance)[1]) < 0.15

@@ -25,7 +25,14 @@ from kraft.driving.estimation.pose_filter import (
     Posterior,
     Prior,
 )
-from kraft.driving.estimation.sliding_window import DRIVE_MAX, DriveHistory, Identified, NoiseEstimate, SlidingWindow
+from kraft.driving.estimation.sliding_window import (
+    DRIVE_MAX,
+    ConstantOfDrive,
+    DriveHistory,
+    Identified,
+    NoiseEstimate,
+    SlidingWindow,
+)
 from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
 from kraft.driving.method import RANGES_EXPECTED, Adaptive, Filter, unstated_ranges
 from kraft.driving.vehicle_model import VehicleModel
@@ -51,6 +58,8 @@ SIGNIFICANT: Final = 1.0
 """Squared change of the parameters, by their covariance, up to which those in use are kept."""
 SLOW: Final = 0.2
 """Speed or turning rate below which identified parameters are used at once, m/s or rad/s."""
+HOLDS: Final = 0.8
+"""Largest force in use, as a share of what the drive can hold at rest."""
 SPREAD_STEP: Final = 1e-3
 """Step of the derivatives with respect to parameters, in standard deviations."""
 MOVED_AFTER: Final = 1.0
@@ -103,6 +112,9 @@ class AdaptiveEstimator:
         self._identified: Identified | None = None
         self.learned: Learned | None = None
         self._history = DriveHistory(start_state, model)
+        if camera is not None:
+            std = [parameters.specs[parameters.names.index(name)].std for name in FORCE]
+            self._of_drive = ConstantOfDrive(np.array(std))
         self._delay_index = parameters.index(DELAY)
         self.horizon = 0.0 if self._delay_index < 0 else parameters.specs[self._delay_index].value
         self._filter.set_delay(self.horizon)
@@ -194,8 +206,23 @@ class AdaptiveEstimator:
         change = (values - self._values)[free]
         slow = bool((np.abs(self._filter.posterior.mean[self._model.velocities]) < SLOW).all())
         if slow or change @ np.linalg.solve(covariance[np.ix_(free, free)], change) > SIGNIFICANT:
-            self._values = values
+            self._values = self._with_held_force(values)
         self._model.set_parameters(self._values)
+
+    def _with_held_force(self, values: Floats) -> Floats:
+        """Parameters (np,) with a force that the drive can hold at rest; a larger one is not a slope.
+
+        A vehicle that pushes against a box until it stands seems to have a weak drive and a force against it.  With a
+        force beyond the drive no manoeuvre would stop, so that nothing could be planned, not even the way back.
+        """
+        if self._model.vehicle.gravity_share is None:
+            return values
+        force = [list(self._model.vehicle.parameters).index(name) for name in FORCE]
+        held = values.copy()
+        held[force] = 0.0
+        most = HOLDS * self._model.acceleration_at_rest(held)
+        held[force] = values[force] * min(1.0, most / max(float(np.linalg.norm(values[force])), 1e-9))
+        return held
 
     def _doubt_delay(self, variance: float) -> None:
         """Widen the prior of a delay that the vehicle's file states, if the poses contradict it.
@@ -223,14 +250,16 @@ class AdaptiveEstimator:
     def _set_slope(self, identified: Identified) -> None:
         """Take the identified force as the effect of the floor's slope.
 
-        The floor stays as it is: a force that has changed has another cause, such as a box that the vehicle pushes.
+        The floor stays as it is: a force that has changed has another cause, such as a box that the vehicle pushes.  So
+        what the drive showed before the window counts as well.
         """
         if self._camera is None or not self._settings.identify:
             return
         felt, names = felt_gravity(self._model.vehicle), self._window.parameters.names
         force = [names.index(name) for name in FORCE]
-        slope = _possible(-identified.constant[force] / felt)
-        covariance = identified.constant_covariance[np.ix_(force, force)] / felt**2
+        of_window = identified.constant[force], identified.constant_covariance[np.ix_(force, force)]
+        mean, covariance = self._of_drive.update(float(identified.times[0]), float(identified.times[-1]), *of_window)
+        slope, covariance = _possible(-mean / felt), covariance / felt**2
         error = GRAVITY_SHARE_ERROR * float(np.linalg.norm(slope))
         self._filter.set_slope(slope, covariance + error**2 * np.eye(2))
 

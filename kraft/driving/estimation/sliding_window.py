@@ -340,6 +340,34 @@ class SlidingWindow:
         return Point(states, problem.actuators.mean(self.rho)[0], self.rho.copy())
 
 
+class ConstantOfDrive:
+    """Estimate of something that is the same in the whole drive, from windows that follow each other without overlap.
+
+    Each window has the same prior, with mean 0.  What an update joins is the window and the result of the last update
+    that ended before it, without the prior that both have.
+    """
+
+    def __init__(self, std: Floats) -> None:
+        """`std` (n,) are the standard deviations of the prior."""
+        self._prior = np.diag(std**-2.0)
+        self._results: list[tuple[float, Matrix, Floats]] = []
+
+    def update(self, begin: float, end: float, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix]:
+        """Mean (n,) and covariance (n, n) after a window from `begin` to `end` (s) with its own mean and covariance."""
+        information = np.linalg.inv(covariance)
+        score = information @ mean
+        before = sum(result[0] <= begin for result in self._results)
+        if before > 0:
+            _, earlier, earlier_score = self._results[before - 1]
+            information, score = information + earlier - self._prior, score + earlier_score
+            del self._results[: before - 1]
+        if self._results and self._results[-1][0] >= end:  # the vehicle stands
+            self._results.pop()
+        self._results.append((end, information, score))
+        joined = np.linalg.inv(information)
+        return joined @ score, joined
+
+
 def _begin_of_last(moving: Sequence[tuple[float, float]], length: float) -> float:
     """Time at which the last `length` s of motion begin, or all motion if there is less; infinite without any."""
     first = math.inf
