@@ -53,15 +53,15 @@ class DeviationBound:
         """Bound times a factor."""
         return DeviationBound(factor * self.delta, factor * self.per_speed, factor * self.per_time, self.horizon)
 
-    def kept(self, share: float, part: float, narrow: bool) -> DeviationBound:
-        """`part` of the clearance that plans keep: a share of the bound at rest, and all that is for the speed.
+    def kept(self, level: Level, part: float) -> DeviationBound:
+        """`part` of the clearance of a level, without its margin: a share of the bound at rest, and all for the speed.
 
         A place may be too narrow for the bound at rest; for the rest of the bound the vehicle only has to drive slowly.
-        Where it is so `narrow` that hardly a speed is left, the share is also that of what remains for the speed when
+        Where it is so narrow that hardly a speed is left, the share is also that of what remains for the speed when
         the delay is known: then only a delay that is not known yet makes the vehicle slow.
         """
-        spared = (1.0 - share) * min(self.per_speed, KNOWN_DELAY) if narrow else 0.0
-        return replace(self.scaled(share * part), per_speed=part * (self.per_speed - spared))
+        spared = (1.0 - level.share) * min(self.per_speed, KNOWN_DELAY) if level.narrow else 0.0
+        return replace(self.scaled(level.share * part), per_speed=part * (self.per_speed - spared))
 
     @property
     def later(self) -> DeviationBound:
@@ -209,11 +209,15 @@ SOON = 3.0  # cycles for which plans keep the clearance then
 
 @dataclass(frozen=True)
 class Level:
-    """Clearance that plans keep for `foresight` s: a `share` of the bound, and `margin` m."""
+    """Clearance that plans keep for `foresight` s: a `share` of the bound, and `margin` m.
+
+    At a `narrow` level the share is also that of the bound's part for the speed, see `DeviationBound.kept`.
+    """
 
     share: float
     margin: float = 0.0
     foresight: float = 0.0
+    narrow: bool = False
 
 
 def levels_of(settings: PlannerSettings) -> tuple[Level, ...]:
@@ -224,11 +228,12 @@ def levels_of(settings: PlannerSettings) -> tuple[Level, ...]:
     foresight = max(settings.bound.foresight, cycle)
     far = [Level(share, margin, foresight) for share in shares]
     if margin > 0.0:
-        far += [Level(share * shares[-1], 0.0, foresight) for share in NARROW]
+        far += [Level(share * shares[-1], 0.0, foresight, narrow=True) for share in NARROW]
     if foresight == cycle:
         return tuple(far)
     soon = min(foresight, SOON * cycle)
-    return (*far, *(Level(share, 0.0, soon) for share in shares[::2]), Level(shares[-1], 0.0, cycle))
+    near = [*(Level(share, 0.0, soon, narrow=True) for share in shares[::2]), Level(shares[-1], 0.0, cycle, narrow=True)]
+    return (*far, *near)
 
 
 class Levels:
@@ -260,12 +265,12 @@ class Levels:
 
     def set(self, number: int, eased: bool) -> DirtSolver:
         """Ask for the clearance of a level, `eased` for the rest of a plan that keeps it; returns its solver."""
-        level, part, narrow = self.all[number], HYSTERESIS if eased else 1.0, number >= self.wide
-        dirt, near = self._solvers.planning, self.bound.kept(level.share, part, narrow)
+        level, part = self.all[number], HYSTERESIS if eased else 1.0
+        dirt, near = self._solvers.planning, self.bound.kept(level, part)
         self._solvers.checking.set_bound(near.delta, near.per_speed, near.per_time, near.horizon)
         dirt.set_bound(near.delta + part * level.margin, near.per_speed, near.per_time, near.horizon)
         if dirt is not self._solvers.checking:
-            later = self.bound.later.kept(level.share, part, narrow)
+            later = self.bound.later.kept(level, part)
             dirt.set_far(NEAR, later.delta + part * level.margin, later.per_speed)
         dirt.set_cycle(level.foresight)
         return dirt
@@ -280,7 +285,7 @@ class Levels:
 
     def require(self) -> None:
         """Require what suffices when the last plan is checked again."""
-        self._solvers.set_bound(self.bound.kept(self.share, self._settings.recheck, self.kept >= self.wide))
+        self._solvers.set_bound(self.bound.kept(self.all[self.kept], self._settings.recheck))
 
     def keep(self, number: int, stalled: bool) -> None:
         """Record that a plan of a level is proposed; if the vehicle is `stalled`, the next level is tried as well.

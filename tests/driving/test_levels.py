@@ -65,9 +65,9 @@ def driven(*bounds: DeviationBound, seed: int = 0, **more: object) -> tuple[Repl
 
 def test_margin_then_foresight_are_given_up_after_the_smallest_share() -> None:
     far = [Level(share, MARGIN, FORESIGHT) for share in BOUND.shares]
-    narrow = [Level(0.25 * part, 0.0, FORESIGHT) for part in NARROW]
-    soon = [Level(share, 0.0, SOON) for share in (1.0, 0.25)]
-    assert levels_of(settings()) == (*far, *narrow, *soon, Level(0.25, 0.0, 1.0))
+    narrow = [Level(0.25 * part, 0.0, FORESIGHT, narrow=True) for part in NARROW]
+    soon = [Level(share, 0.0, SOON, narrow=True) for share in (1.0, 0.25)]
+    assert levels_of(settings()) == (*far, *narrow, *soon, Level(0.25, 0.0, 1.0, narrow=True))
 
 
 def test_what_the_settings_do_not_ask_for_is_no_level() -> None:
