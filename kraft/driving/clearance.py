@@ -232,7 +232,10 @@ def levels_of(settings: PlannerSettings) -> tuple[Level, ...]:
     if foresight == cycle:
         return tuple(far)
     soon = min(foresight, SOON * cycle)
-    near = [*(Level(share, 0.0, soon, narrow=True) for share in shares[::2]), Level(shares[-1], 0.0, cycle, narrow=True)]
+    near = [
+        *(Level(share, 0.0, soon, narrow=True) for share in shares[::2]),
+        Level(shares[-1], 0.0, cycle, narrow=True),
+    ]
     return (*far, *near)
 
 

@@ -350,3 +350,34 @@ def _mapped(poses: Matrix, place: Callable[[Matrix], Matrix]) -> Matrix:
     mapped = np.empty((len(poses), 3))
     mapped[:, :2], mapped[:, 2] = 0.5 * (front + rear), poses[:, 2] + turned
     return mapped
+
+
+CORRELATED, OFFSET, FLOOR = slice(0, 3), slice(3, 6), slice(6, 6 + FLOOR_SIZE)
+"""Parts of the pose error, and the floor that it depends on, within the last components of the filter's state."""
+ERRORS: Final = FLOOR.stop
+
+
+class PoseErrorModel:
+    """Process model of the state (nx + 9,): as `ExcessSpeedModel`, two parts of the pose error that decay, a floor."""
+
+    def __init__(self, model: VehicleModel, offset_time: float) -> None:
+        self._motion = ExcessSpeedModel(model)
+        self.times = np.full(ERRORS, offset_time)
+        self.times[FLOOR] = math.inf
+        """time constants of the components of the pose error and the floor, s"""
+        self.size = self._motion.size + len(self.times)
+        self._last = np.arange(self._motion.size, self.size)
+
+    def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
+        """State (nx + 9,) after holding a control (nu,) for `duration` s."""
+        kept = np.exp(-duration / self.times)
+        return np.concatenate([self._motion.advance(state[:-ERRORS], control, duration), kept * state[-ERRORS:]])
+
+    def linearised(self, state: Floats, control: Floats, duration: float) -> tuple[Floats, Matrix]:
+        """State (nx + 9,) after `duration` s and its Jacobian (nx + 9, nx + 9) with respect to the state before."""
+        after, jacobian = self._motion.linearised(state[:-ERRORS], control, duration)
+        kept = np.exp(-duration / self.times)
+        full = np.zeros((self.size, self.size))
+        full[:-ERRORS, :-ERRORS] = jacobian
+        full[self._last, self._last] = kept
+        return np.concatenate([after, kept * state[-ERRORS:]]), full

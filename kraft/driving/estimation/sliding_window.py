@@ -354,7 +354,7 @@ class ConstantOfDrive:
 
     def update(self, begin: float, end: float, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix]:
         """Mean (n,) and covariance (n, n) after a window from `begin` to `end` (s) with its own mean and covariance."""
-        information = np.linalg.inv(covariance)
+        information: Matrix = np.linalg.inv(covariance)
         score = information @ mean
         before = sum(result[0] <= begin for result in self._results)
         if before > 0:
