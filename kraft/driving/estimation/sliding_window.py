@@ -354,7 +354,7 @@ class ConstantOfDrive:
 
     def update(self, begin: float, end: float, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix]:
         """Mean (n,) and covariance (n, n) after a window from `begin` to `end` (s) with its own mean and covariance."""
-        information: Matrix = np.linalg.inv(covariance)
+        information = np.asarray(np.linalg.inv(covariance), dtype=float)
         score = information @ mean
         before = sum(result[0] <= begin for result in self._results)
         if before > 0:
@@ -364,7 +364,7 @@ class ConstantOfDrive:
         if self._results and self._results[-1][0] >= end:  # the vehicle stands
             self._results.pop()
         self._results.append((end, information, score))
-        joined = np.linalg.inv(information)
+        joined = np.asarray(np.linalg.inv(information), dtype=float)
         return joined @ score, joined
 
 
