@@ -149,6 +149,8 @@ class RhoFactors:
     """(np,) diagonal"""
     prior_gradient: Floats
     """(np,)"""
+    window_gradient: Matrix | None = None
+    """(windows, np) that the gradients of the logs consist of, if logs are cut into windows"""
 
     @classmethod
     def with_priors(cls, information: Floats, gradient: Matrix, problem: Problem, rho: Floats) -> RhoFactors:
