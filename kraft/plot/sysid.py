@@ -56,6 +56,7 @@ from kraft.plot.sysid_logs import (
     plain_axes,
     set_floor_limits,
     speeds,
+    with_name,
 )
 from kraft.sysid.acceptance import PredictionEvaluation
 from kraft.sysid.data import LogSplit
@@ -234,19 +235,20 @@ def _draw_prediction(figure: Figure, page: Page, top: float, evaluation: Predict
     name = median_error_log(pair.identified)
     floor = Rectangle(LEFT, top, SIDE + 0.2, ROWS[2])
     draw_windows(page.axes(figure, floor), floor, pair, name)
-    words: tuple[ColouredText, ...] = ((f"Prediction of {name}, 3 s at a time", INK), ("poses", DATA))
-    caption(figure, page, floor, words)
+    title = with_name("Prediction of {}, 3 s at a time", name, floor.width + 0.2)
+    caption(figure, page, floor, ((title, INK), ("poses", DATA)))
     pairs = [(pair, whose)] + ([(evaluation.fitted, "fitted logs")] if evaluation.held_out else [])
     width = (WIDTH - RIGHT - floor.left - floor.width - 1.5) / 2
-    for k, (columns, factor, unit, title) in enumerate((
-        ((0, 1), 100.0, "cm", "Position"),
-        ((2,), 180.0 / math.pi, "deg", "Yaw"),
+    dashed = (("dashed: fitted", INK),) if len(pairs) > 1 else ()
+    for k, (columns, factor, unit, title, rest) in enumerate((
+        ((0, 1), 100.0, "cm", "Position", (("constant motion", DATA),)),
+        ((2,), 180.0 / math.pi, "deg", "Yaw", dashed),  # there is no room for both
     )):  # fmt: skip
         part = Rectangle(floor.left + floor.width + 0.75 + k * (width + 0.75), top, width, ROWS[2])
         draw_error_over_time(page.axes(figure, part), pairs, columns, factor, unit)
-        rest = (("dashed: fitted", INK),) if len(pairs) > 1 else ()
-        words = ((f"{title}, {whose}", INK), ("identified", IDENTIFIED), ("initial", INITIAL), *rest)
-        caption(figure, page, part, words)
+        caption(
+            figure, page, part, ((f"{title}, {whose}", INK), ("identified", IDENTIFIED), ("initial", INITIAL), *rest)
+        )
 
 
 ROW: Final = 0.215
@@ -485,10 +487,10 @@ def draw_windows(axes: Axes, part: Rectangle, pair: PredictionPair, name: str) -
 def draw_error_over_time(
     axes: Axes, pairs: Sequence[tuple[PredictionPair, str]], columns: Sequence[int], factor: float, unit: str
 ) -> None:
-    """Draw the error over time, identified and initial; forecasts after the first are thin and dashed."""
+    """Draw the error over time: identified, initial, constant motion; forecasts after the first are thin and dashed."""
     for k, (pair, _) in enumerate(pairs):
         style: Style = {"linewidth": 1.8 if k == 0 else 1.0, "linestyle": "solid" if k == 0 else (0, (2.4, 1.2))}
-        for windows, colour in ((pair.initial, INITIAL), (pair.identified, IDENTIFIED)):
+        for windows, colour in ((pair.constant, DATA), (pair.initial, INITIAL), (pair.identified, IDENTIFIED)):
             times, errors = error_over_time(windows, columns)
             axes.plot(np.append(0.0, times), factor * np.append(0.0, errors), color=colour, **style)
     plain_axes(axes)

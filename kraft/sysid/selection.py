@@ -20,8 +20,8 @@ from kraft.sysid.interface import CORRELATION_REMOVED, Settings
 from kraft.sysid.optimiser import Optimum, Uncertainty, held_at_bounds, inverse
 from kraft.sysid.parameters import (
     Parameters,
-    affects_motion,
     auxiliary_parameters,
+    is_unknown_to_planning,
     out_of_bounds,
     parameter_specs,
     vehicle_of,
@@ -54,7 +54,9 @@ def candidates_of(vehicle: Vehicle, settings: Settings) -> tuple[str, ...]:
         return ()
     if isinstance(wanted, tuple):
         return tuple(name for name in known if name in wanted)
-    names = {name for name in NEGLIGIBLE if wanted == "auto" or not affects_motion(name)} | requested_names(settings)
+    names = {name for name in NEGLIGIBLE if wanted == "auto" or not is_unknown_to_planning(name)} | requested_names(
+        settings
+    )
     return tuple(name for name in known if name in names)
 
 
@@ -160,7 +162,7 @@ def is_shown(p: Parameters, optimum: Optimum, name: str, gain: float) -> bool:
 
 
 def _sandwich(gradient: Matrix, row: Floats) -> float:
-    """Huber's sandwich variance of a parameter by independent gradients (n, k); `row` (k,) is that of the covariance."""
+    """Huber's sandwich variance of a parameter by independent gradients (n, k); `row` (k,) of the covariance."""
     count = len(gradient)
     influence = (gradient - gradient.mean(axis=0)) @ row
     return float(influence @ influence) * count / max(count - 1, 1)

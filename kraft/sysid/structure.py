@@ -450,8 +450,8 @@ def _may_be_near(structure: Structure, best: Structure) -> bool:
     The other folds may not show a term at all: what they leave of it is then its prior, whichever other terms are on.
     """
     others = np.arange(len(best.scores)) != int(np.argmax(structure.scores - best.scores))
-    lists = [replace(s, errors=s.errors[others]) for s in (structure, best)]
-    return is_near(structure, best, CLEARLY_WORSE) or is_near(*lists, CLEARLY_WORSE)
+    own, of_best = (replace(s, errors=s.errors[others]) for s in (structure, best))
+    return is_near(structure, best, CLEARLY_WORSE) or is_near(own, of_best, CLEARLY_WORSE)
 
 
 def _is_shown(structure: Structure, name: str, gain: float) -> bool:
