@@ -77,10 +77,8 @@ MATRIX: Final = 2.1
 GAP: Final = 0.75
 ROWS: Final = (2.9, 3.3, 2.7)
 """Heights of data and parameters (at least), fit, and prediction."""
-CHOICE: Final = 1.7
-"""Height of the choice of the model; below it are the names of terms."""
-NAMES: Final = 0.8
-"""Height of the names of terms, which are turned."""
+CHOICE, NAMES, MODEL = 1.7, 0.8, 0.28
+"""Heights of the choice of terms, of their names below it, which are turned, and of the bar of a model."""
 
 
 def plot_identification(
@@ -119,7 +117,7 @@ def compose(
         top += height + GAP
     if result.trials or result.models:
         tops.append(top)
-        top += CHOICE + NAMES
+        top += CHOICE + NAMES if result.trials else MODEL * len(result.models) + 0.4
     floor = Rectangle(LEFT, tops[0], SIDE - 0.5, ROWS[0])
     page = Page(WIDTH, top - 0.25, floor, floor, (), rows)
     figure = Figure(figsize=(page.width, page.height))
@@ -223,10 +221,11 @@ def _draw_choice(figure: Figure, page: Page, top: float, result: Identification)
         ]
         caption(figure, page, part, words)
     if result.models:
-        part = Rectangle(WIDTH - RIGHT - SIDE, top, SIDE, 0.28 * len(result.models))
+        left = WIDTH - RIGHT - SIDE if result.trials else LEFT + NAMES
+        part = Rectangle(left, top, SIDE, MODEL * len(result.models))
         draw_models(page.axes(figure, part), result.models)
-        after = max(result.models[0].errors)
-        caption(figure, page, part, (("Choice of the model", INK), (f"error after {after:g} s, cm", INK)))
+        after = f"error after {max(result.models[0].errors):g} s, cm"
+        caption(figure, page, part, (("Choice of the model", INK), (after, INK)))
 
 
 def _draw_prediction(figure: Figure, page: Page, top: float, evaluation: PredictionEvaluation) -> None:
@@ -466,8 +465,7 @@ def draw_models(axes: Axes, models: Sequence[ModelTrial]) -> None:
         axes.text(error, k, f" {plain_number(float(f'{error:.3g}'))}", va="center", fontsize=SMALL)
     axes.set_yticks(range(len(models)), [model.model for model in models], fontsize=SMALL)
     axes.invert_yaxis()
-    axes.set_xlim(0.0, 1.2 * max(errors))
-    axes.set_xticks([])
+    axes.set(xlim=(0.0, 1.2 * max(errors)), xticks=[])
     axes.spines[["top", "right", "bottom"]].set_visible(False)
 
 
