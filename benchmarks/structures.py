@@ -51,6 +51,8 @@ ON: Final = 0.4
 CARS: Final = 20
 LOGS, UNSEEN, SECONDS, RATE = 10, 5, 30.0, 20.0
 NOISE: Final = (0.003, 0.009)
+OFF: Final = 0.005
+"""Most by which the commands of some cars act before or after their recorded times, s."""
 HIDDEN: Final = 3.0
 """Size of a term, in standard deviations of a fit of the terms that are there, up to which it cannot be told."""
 WORSE: Final = 1.1
@@ -122,19 +124,28 @@ def commands(rng: np.random.Generator) -> CommandSeries:
     return times, np.column_stack([throttle, rng.uniform(-1.0, 1.0, len(times))])
 
 
-def drives(truth: Mapping[str, float], seeds: Sequence[int]) -> list[Log]:
-    """Logs of a car, one per seed."""
+def drives(truth: Mapping[str, float], seeds: Sequence[int], off: float = 0.0) -> list[Log]:
+    """Logs of a car, one per seed; each command acts up to `off` s before or after its recorded time."""
     names = load_vehicle_config("car-lag").parameters
     vehicle = load_vehicle("car-lag", parameters={name: value for name, value in truth.items() if name in names})
     given = [commands(np.random.default_rng([seed, 1])) for seed in seeds]
-    return synthetic_logs(vehicle, truth, seeds, seconds=SECONDS, noise=NOISE, rate=RATE, commands=given)
+    logs = synthetic_logs(vehicle, truth, seeds, seconds=SECONDS, noise=NOISE, rate=RATE, commands=given)
+    return [_stamped(log, off, np.random.default_rng([seed, 2])) for log, seed in zip(logs, seeds, strict=True)]
 
 
-def trial(seed: int) -> Trial:
-    """Choose a model for a random car, and compare it with fixed choices on other drives."""
+def _stamped(log: Log, off: float, rng: np.random.Generator) -> Log:
+    """The log with times of its commands, except for the first, that are up to `off` s wrong."""
+    (part,) = log.parts
+    wrong = rng.uniform(-off, off, len(part.command_times))
+    times = part.command_times + np.where(part.command_times > 0.0, wrong, 0.0)
+    return replace(log, parts=(replace(part, command_times=times),))
+
+
+def trial(seed: int, off: float = 0.0) -> Trial:
+    """Choose a model for a random car, and compare it with fixed choices on other drives; `off` as for `drives`."""
     truth = random_truth(np.random.default_rng([seed, 0]))
     seeds = range(100 * seed, 100 * seed + LOGS + UNSEEN)
-    logs = drives(truth, seeds)
+    logs = drives(truth, seeds, off)
     fitted, unseen, settings = logs[:LOGS], logs[LOGS:], Settings()
     auto = identify_car(fitted, settings)
     identified = auto.identification
@@ -176,11 +187,24 @@ def error(vehicle: VehicleConfig | Vehicle, logs: Sequence[Log], values: Mapping
 
 def run(effort: Effort) -> Report:
     """Measure over random cars."""
-    trials, count = [], min(effort.seeds, CARS)
-    for seed in range(count):
-        trials.append(trial(seed))
-        print(seed, trials[-1].text, file=sys.stderr, flush=True)
-    return Report("structures", rows(trials))
+    count = min(effort.seeds, CARS)
+    exact, stamped = ([_reported(seed, off) for seed in range(count)] for off in (0.0, OFF))
+    told = [float(t.is_exact) for t in stamped]
+    many = [float(len(t.found - t.there)) for t in stamped]
+    return Report(
+        "structures",
+        [
+            *rows(exact),
+            row(f"commands up to {1000 * OFF:g} ms off: the same of the terms that can be told", "1", told, more=True),
+            row(f"commands up to {1000 * OFF:g} ms off: terms too many, of each car", "1", many),
+        ],
+    )
+
+
+def _reported(seed: int, off: float) -> Trial:
+    found = trial(seed, off)
+    print(seed, found.text, file=sys.stderr, flush=True)
+    return found
 
 
 def rows(trials: Sequence[Trial]) -> list[Row]:

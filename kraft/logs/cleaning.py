@@ -204,7 +204,8 @@ def _check_motion(poses: Samples, parts: tuple[Part, ...], controls: Sequence[st
     ways = [extent(part.pose_times, part.poses) for part in parts]
     if all(way < limits.least_motion and turn < TURN_MIN for way, turn in ways):
         way = max(way for way, _ in ways)
-        expected = f"expected at least {limits.least_motion:g} m (limits.least_motion in a mapping file)"
+        least = f"at least {limits.least_motion:g} m (limits.least_motion in a mapping file)"
+        expected = f"expected {least}: drive with larger commands, these may be within the dead zone"
         most = np.max([np.abs(part.commands).max(axis=0) for part in parts], axis=0)
         given = " and ".join(f"{name} up to {value:.3g}" for name, value in zip(controls, most, strict=True))
         fact = f"the vehicle moves {way:.2g} m (between means over up to {AVERAGING_TIME:g} s), with {given}"

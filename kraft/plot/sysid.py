@@ -56,6 +56,7 @@ from kraft.plot.sysid_logs import (
     plain_axes,
     set_floor_limits,
     speeds,
+    with_name,
 )
 from kraft.sysid.acceptance import PredictionEvaluation
 from kraft.sysid.data import LogSplit
@@ -76,10 +77,8 @@ MATRIX: Final = 2.1
 GAP: Final = 0.75
 ROWS: Final = (2.9, 3.3, 2.7)
 """Heights of data and parameters (at least), fit, and prediction."""
-CHOICE: Final = 1.7
-"""Height of the choice of the model; below it are the names of terms."""
-NAMES: Final = 0.8
-"""Height of the names of terms, which are turned."""
+CHOICE, NAMES, MODEL = 1.7, 0.8, 0.28
+"""Heights of the choice of terms, of their names below it, which are turned, and of the bar of a model."""
 
 
 def plot_identification(
@@ -118,7 +117,7 @@ def compose(
         top += height + GAP
     if result.trials or result.models:
         tops.append(top)
-        top += CHOICE + NAMES
+        top += CHOICE + NAMES if result.trials else MODEL * len(result.models) + 0.4
     floor = Rectangle(LEFT, tops[0], SIDE - 0.5, ROWS[0])
     page = Page(WIDTH, top - 0.25, floor, floor, (), rows)
     figure = Figure(figsize=(page.width, page.height))
@@ -222,10 +221,11 @@ def _draw_choice(figure: Figure, page: Page, top: float, result: Identification)
         ]
         caption(figure, page, part, words)
     if result.models:
-        part = Rectangle(WIDTH - RIGHT - SIDE, top, SIDE, 0.28 * len(result.models))
+        left = WIDTH - RIGHT - SIDE if result.trials else LEFT + NAMES
+        part = Rectangle(left, top, SIDE, MODEL * len(result.models))
         draw_models(page.axes(figure, part), result.models)
-        after = max(result.models[0].errors)
-        caption(figure, page, part, (("Choice of the model", INK), (f"error after {after:g} s, cm", INK)))
+        after = f"error after {max(result.models[0].errors):g} s, cm"
+        caption(figure, page, part, (("Choice of the model", INK), (after, INK)))
 
 
 def _draw_prediction(figure: Figure, page: Page, top: float, evaluation: PredictionEvaluation) -> None:
@@ -234,19 +234,20 @@ def _draw_prediction(figure: Figure, page: Page, top: float, evaluation: Predict
     name = median_error_log(pair.identified)
     floor = Rectangle(LEFT, top, SIDE + 0.2, ROWS[2])
     draw_windows(page.axes(figure, floor), floor, pair, name)
-    words: tuple[ColouredText, ...] = ((f"Prediction of {name}, 3 s at a time", INK), ("poses", DATA))
-    caption(figure, page, floor, words)
+    title = with_name("Prediction of {}, 3 s at a time", name, floor.width + 0.2)
+    caption(figure, page, floor, ((title, INK), ("poses", DATA)))
     pairs = [(pair, whose)] + ([(evaluation.fitted, "fitted logs")] if evaluation.held_out else [])
     width = (WIDTH - RIGHT - floor.left - floor.width - 1.5) / 2
-    for k, (columns, factor, unit, title) in enumerate((
-        ((0, 1), 100.0, "cm", "Position"),
-        ((2,), 180.0 / math.pi, "deg", "Yaw"),
+    dashed = (("dashed: fitted", INK),) if len(pairs) > 1 else ()
+    for k, (columns, factor, unit, title, rest) in enumerate((
+        ((0, 1), 100.0, "cm", "Position", (("constant motion", DATA),)),
+        ((2,), 180.0 / math.pi, "deg", "Yaw", dashed),  # there is no room for both
     )):  # fmt: skip
         part = Rectangle(floor.left + floor.width + 0.75 + k * (width + 0.75), top, width, ROWS[2])
         draw_error_over_time(page.axes(figure, part), pairs, columns, factor, unit)
-        rest = (("dashed: fitted", INK),) if len(pairs) > 1 else ()
-        words = ((f"{title}, {whose}", INK), ("identified", IDENTIFIED), ("initial", INITIAL), *rest)
-        caption(figure, page, part, words)
+        caption(
+            figure, page, part, ((f"{title}, {whose}", INK), ("identified", IDENTIFIED), ("initial", INITIAL), *rest)
+        )
 
 
 ROW: Final = 0.215
@@ -464,8 +465,7 @@ def draw_models(axes: Axes, models: Sequence[ModelTrial]) -> None:
         axes.text(error, k, f" {plain_number(float(f'{error:.3g}'))}", va="center", fontsize=SMALL)
     axes.set_yticks(range(len(models)), [model.model for model in models], fontsize=SMALL)
     axes.invert_yaxis()
-    axes.set_xlim(0.0, 1.2 * max(errors))
-    axes.set_xticks([])
+    axes.set(xlim=(0.0, 1.2 * max(errors)), xticks=[])
     axes.spines[["top", "right", "bottom"]].set_visible(False)
 
 
@@ -485,10 +485,10 @@ def draw_windows(axes: Axes, part: Rectangle, pair: PredictionPair, name: str) -
 def draw_error_over_time(
     axes: Axes, pairs: Sequence[tuple[PredictionPair, str]], columns: Sequence[int], factor: float, unit: str
 ) -> None:
-    """Draw the error over time, identified and initial; forecasts after the first are thin and dashed."""
+    """Draw the error over time: identified, initial, constant motion; forecasts after the first are thin and dashed."""
     for k, (pair, _) in enumerate(pairs):
         style: Style = {"linewidth": 1.8 if k == 0 else 1.0, "linestyle": "solid" if k == 0 else (0, (2.4, 1.2))}
-        for windows, colour in ((pair.initial, INITIAL), (pair.identified, IDENTIFIED)):
+        for windows, colour in ((pair.constant, DATA), (pair.initial, INITIAL), (pair.identified, IDENTIFIED)):
             times, errors = error_over_time(windows, columns)
             axes.plot(np.append(0.0, times), factor * np.append(0.0, errors), color=colour, **style)
     plain_axes(axes)

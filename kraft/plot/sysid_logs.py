@@ -41,6 +41,7 @@ from kraft.plot.style import (
     picture_format,
     plain_number,
     plot_style,
+    shortened,
     text_width,
     write_picture,
 )
@@ -147,6 +148,12 @@ def caption(figure: Figure, page: Page, part: Rectangle, words: Sequence[Coloure
         weight = "bold" if k == 0 else "normal"
         page.text(figure, left, part.top - 0.09, text, LABEL, colour, weight=weight)
         left += (text_width(text, LABEL, bold=k == 0) + 5.5) / 72
+
+
+def with_name(title: str, name: str, width: float) -> str:
+    """The bold title of a caption with a name at its `{}`, which is cut where the title would exceed `width` in."""
+    room = 72 * width - text_width(title.format(""), LABEL, bold=True)
+    return title.format(shortened(name, LABEL, room, bold=True))
 
 
 def plain_axes(axes: Axes, *, across: int = 5, along: int = 4) -> None:

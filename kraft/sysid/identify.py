@@ -152,6 +152,7 @@ def identify_terms(
     path = search.path()
     simplest = search.converged(chosen(path))
     best = search.completed(simplest, path)
+    best = search.pruned(best) if search.is_exact(best) else best
     best, final = search.in_long_windows(best, path)
     trials = [simplest if s.terms == simplest.terms else s for s in path]
     trials += [] if best is simplest else [best]

@@ -55,7 +55,7 @@ class Settings:
     clock_offset: float | None = None
     """most that commands may be recorded later than they act, s, which is how far a delay may be negative; None:
     0.1 s if the vehicle turns before it is steered, else 0"""
-    iterations: int = 50
+    iterations: int = 100
     """largest number of iterations of one fit"""
 
 

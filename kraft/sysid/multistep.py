@@ -380,7 +380,15 @@ class MultiStep:
         self._solved = np.linalg.solve(information, np.concatenate([cross, gradient[..., None]], axis=2))
         own -= np.swapaxes(cross, 1, 2) @ self._solved[..., :-1]
         slope -= np.einsum("wxr,wx->wr", cross, self._solved[..., -1])
-        return RhoFactors.with_priors(*self._reduce_means(own, slope), self.problem, self._point.rho)
+        factors = RhoFactors.with_priors(*self._reduce_means(own, slope), self.problem, self._point.rho)
+        return replace(factors, window_gradient=self._window_gradient(slope))
+
+    def _window_gradient(self, slope: Matrix) -> Matrix:
+        """Gradient (W, np) of rho by each window without the means of the drives."""
+        known, found = len(self._free), np.zeros((len(slope), len(self._point.rho)))
+        follow = self._mean_solved[self.windows.fold, :, :-1]
+        found[:, self._free] = slope[:, :known] - np.einsum("wv,wvr->wr", slope[:, known:], follow)
+        return found
 
     def _reduce_means(self, own: Floats, slope: Matrix) -> tuple[Floats, Matrix]:
         """Information (folds, np, np) and gradient (folds, np) of rho without the means of the drives."""

@@ -35,7 +35,8 @@ COST_TOLERANCE = 1e-9
 DECREASE_TOLERANCE = 1e-6
 """... if the expected decrease is below this: a change of rho by a thousandth of its standard deviation."""
 SETTLED = 6
-"""Number of iterations in a row with as small an expected decrease after which rho has converged ..."""
+"""Number of iterations in a row with as small an expected decrease, apart from refused steps, after which rho has
+converged ..."""
 SETTLED_TOLERANCE = 1e-4
 """... if the relative changes of the cost are below this: only states still change."""
 SHARES = (0.5, 0.25, 0.125, 0.0625)
@@ -102,7 +103,8 @@ def optimise(graph: LinearisedGraph, start: Point, most: int, on_iteration: OnIt
             candidate, lower = _shortened(graph, point, full, cost)
         iterations += 1
         still, changed = factors.decrease(change) < DECREASE_TOLERANCE, abs(cost - lower)
-        settled = settled + 1 if still and changed < SETTLED_TOLERANCE * cost else 0
+        if lower <= cost or not still:  # a step that is refused tells nothing about the next one
+            settled = settled + 1 if still and changed < SETTLED_TOLERANCE * cost else 0
         converged = (still and changed < COST_TOLERANCE * cost) or settled >= SETTLED
         if lower <= cost:
             point, cost, damping = candidate, lower, max(0.1 * damping, DAMPING_MIN)
@@ -149,6 +151,8 @@ class RhoFactors:
     """(np,) diagonal"""
     prior_gradient: Floats
     """(np,)"""
+    window_gradient: Matrix | None = None
+    """(windows, np) that the gradients of the logs consist of, if logs are cut into windows"""
 
     @classmethod
     def with_priors(cls, information: Floats, gradient: Matrix, problem: Problem, rho: Floats) -> RhoFactors:

@@ -206,12 +206,12 @@ DEAD_BAND_SHARE_MAX = {"throttle": 0.5, "steering": 0.25}
 """Controls that may have a dead band, and the largest dead band as a share of the largest command."""
 
 
-def affects_motion(name: str) -> bool:
-    """Whether an auxiliary parameter affects the motion: planning does not model it, and is wrong by its effect.
+def is_unknown_to_planning(name: str) -> bool:
+    """Whether an auxiliary parameter affects the motion and no vehicle file states it: plans are wrong by its effect.
 
-    The others affect only how the vehicle is observed, which planning does not need.
+    The delay of all commands is stated, for driving; the others affect only how the vehicle is observed.
     """
-    return name.startswith(("delay", "lag_", "dead_band_", "friction"))
+    return name.startswith(("delay_", "lag_", "dead_band_", "friction"))
 
 
 def speed_index(vehicle: Vehicle) -> int:

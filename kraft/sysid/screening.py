@@ -196,7 +196,8 @@ def _check_columns(found: Sequence[Motion], _: Sequence[Log]) -> Diagnostic | No
     if stated - swapped < SWAPPED_LEAST or swapped > SWAPPED_RATIO * stated:
         return None
     problem = "throttle and steering are swapped: the vehicle turns with the throttle"
-    return Diagnostic("logs", problem, "expected the other column for each, in a mapping file", code=Code.MISMATCH)
+    expected = "state the other column of each in a mapping file, commands.controls: {throttle: ..., steering: ...}"
+    return Diagnostic("logs", problem, expected, code=Code.MISMATCH)
 
 
 def _check_clock(found: Sequence[Motion], _: Sequence[Log]) -> Diagnostic | None:

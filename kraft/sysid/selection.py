@@ -20,8 +20,8 @@ from kraft.sysid.interface import CORRELATION_REMOVED, Settings
 from kraft.sysid.optimiser import Optimum, Uncertainty, held_at_bounds, inverse
 from kraft.sysid.parameters import (
     Parameters,
-    affects_motion,
     auxiliary_parameters,
+    is_unknown_to_planning,
     out_of_bounds,
     parameter_specs,
     vehicle_of,
@@ -54,7 +54,9 @@ def candidates_of(vehicle: Vehicle, settings: Settings) -> tuple[str, ...]:
         return ()
     if isinstance(wanted, tuple):
         return tuple(name for name in known if name in wanted)
-    names = {name for name in NEGLIGIBLE if wanted == "auto" or not affects_motion(name)} | requested_names(settings)
+    names = {name for name in NEGLIGIBLE if wanted == "auto" or not is_unknown_to_planning(name)} | requested_names(
+        settings
+    )
     return tuple(name for name in known if name in names)
 
 
@@ -138,20 +140,32 @@ def size_of_term(p: Parameters, optimum: Optimum, name: str) -> float:
 def is_shown(p: Parameters, optimum: Optimum, name: str, gain: float) -> bool:
     """Whether a term is more probable than none, by Laplace's approximation of the likelihood of its size.
 
-    Where folds differ more than noise explains, the `gain`, the decrease of the cost by the term, counts as much less.
+    Where folds or windows differ more than noise explains, the `gain`, the decrease of the cost by the term, counts as
+    much less.  Commands that act some milliseconds off their times disturb each window by itself, which its poses
+    repeat: a few folds tell that only roughly.
     """
     factors, rho = optimum.factors, optimum.point.rho
     held = held_at_bounds(factors, p.low - rho, p.high - rho)
     if held[p.index(name)]:
         return False
     free = p.free & ~held
-    k, count = int(np.count_nonzero(free[: p.index(name)])), len(factors.gradient)
+    k = int(np.count_nonzero(free[: p.index(name)]))
     covariance = inverse(factors.total_information[np.ix_(free, free)])
-    influence = (factors.gradient[:, free] - factors.gradient[:, free].mean(axis=0)) @ covariance[k]
-    between = float(influence @ influence) * count / (count - 1)  # Huber's sandwich, of independent folds
-    disagreement = max(1.0, between / float(covariance[k, k]))
+    variances = [
+        _sandwich(gradient[:, free], covariance[k])
+        for gradient in (factors.gradient, factors.window_gradient)
+        if gradient is not None
+    ]
+    disagreement = max(1.0, *(variance / float(covariance[k, k]) for variance in variances))
     narrowed = math.log(p.specs[p.index(name)].std / math.sqrt(disagreement * covariance[k, k]))
     return gain / disagreement > max(narrowed, GAIN_MIN)
+
+
+def _sandwich(gradient: Matrix, row: Floats) -> float:
+    """Huber's sandwich variance of a parameter by independent gradients (n, k); `row` (k,) of the covariance."""
+    count = len(gradient)
+    influence = (gradient - gradient.mean(axis=0)) @ row
+    return float(influence @ influence) * count / max(count - 1, 1)
 
 
 def costs_of_terms(p: Parameters, optimum: Optimum, terms: Iterable[str]) -> dict[str, float]:

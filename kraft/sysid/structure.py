@@ -284,7 +284,7 @@ class StructureSearch:
         if not longer.is_exact(found):
             return structure, self
         found = replace(found, without=structure.without, added=structure.added)
-        found = longer._pruned(longer._extended(found, path))
+        found = longer.pruned(longer._extended(found, path))
         return (found, longer) if is_near(found, structure, NEGLIGIBLE) else (structure, self)
 
     def _extended(self, structure: Structure, path: Sequence[Structure]) -> Structure:
@@ -301,14 +301,17 @@ class StructureSearch:
                 structure = replace(more, added=", ".join(filter(None, (structure.added, name))))
         return structure
 
-    def _pruned(self, structure: Structure) -> Structure:
-        """The structure without those terms that the likelihood does not show, and that predictions do not need."""
+    def pruned(self, structure: Structure) -> Structure:
+        """The structure without those terms that predictions do not need and the likelihood does not show.
+
+        Nor is a term shown that is smaller than what the discrete steps of the model look like.
+        """
         costs = _linearised_costs(structure)
         for name in sorted((name for name in costs if costs[name] <= SURELY_NEEDED), key=lambda name: costs[name]):
             less = self.without(structure, name)
-            if not _is_shown(structure, name, less.optimum.cost - structure.optimum.cost) and is_near(
-                less, structure, NEGLIGIBLE
-            ):
+            gain = less.optimum.cost - structure.optimum.cost
+            shown = _is_shown if name in OFFSETS else _gains
+            if not shown(structure, name, gain) and is_near(less, structure, NEGLIGIBLE):
                 without = ", ".join(filter(None, (structure.without, name)))
                 structure = replace(less, added=structure.added, without=without)
         return structure
@@ -404,7 +407,7 @@ class StructureSearch:
     @staticmethod
     def _too_few(path: Sequence[Structure]) -> bool:
         best = best_of(path)
-        return len(path) > WORSE_MAX and not any(is_near(s, best, CLEARLY_WORSE) for s in path[-WORSE_MAX:])
+        return len(path) > WORSE_MAX and not any(_may_be_near(s, best) for s in path[-WORSE_MAX:])
 
     def alike(self, other: Structure) -> Structure:
         """The structure with the terms of one of another model, as far as this model has them."""
@@ -439,6 +442,16 @@ def is_near(structure: Structure, best: Structure, share: float) -> bool:
     """Whether the mean error is within one standard error, or a share, of the best one."""
     difference, nearly = structure.scores - best.scores, share * float(best.scores.mean())
     return float(difference.mean()) <= max(float(difference.std(ddof=1)) / math.sqrt(len(difference)), nearly)
+
+
+def _may_be_near(structure: Structure, best: Structure) -> bool:
+    """Whether a structure is not clearly worse, or in a single fold alone.
+
+    The other folds may not show a term at all: what they leave of it is then its prior, whichever other terms are on.
+    """
+    others = np.arange(len(best.scores)) != int(np.argmax(structure.scores - best.scores))
+    own, of_best = (replace(s, errors=s.errors[others]) for s in (structure, best))
+    return is_near(structure, best, CLEARLY_WORSE) or is_near(own, of_best, CLEARLY_WORSE)
 
 
 def _is_shown(structure: Structure, name: str, gain: float) -> bool:

@@ -267,7 +267,7 @@ def next_lines(found: NextDrives) -> list[str]:
         )
         lines += [f"   {step}" for step in drive.words]
         stds = ", ".join(f"{name} {drive.before[name]:.2g} to {drive.after[name]:.2g}" for name in drive.shown)
-        lines.append(f"   shows {stds or 'all parameters a little'} (standard deviation)")
+        lines.append(f"   shows {stds} (standard deviation)" if stds else "   shows all parameters a little")
         lines.append(
             f"   prediction error by the uncertainty of the parameters: {100 * drive.error_before:.2g} cm "
             f"to {100 * drive.error_after:.2g} cm"

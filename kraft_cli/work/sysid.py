@@ -24,11 +24,12 @@ from kraft.sysid.acceptance import (
     replacement_objections,
 )
 from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle, with_recorded, with_recorded_commands
+from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.data import LogSplit, check_holdout, split_logs
 from kraft.sysid.factor_graph import ensure_compiled
-from kraft.sysid.identify import has_terms, identify
+from kraft.sysid.identify import check_controls, has_terms, identify
 from kraft.sysid.interface import AuxiliarySelection, Identification, Noise, Settings
-from kraft.sysid.parameters import affects_motion
+from kraft.sysid.parameters import is_unknown_to_planning
 from kraft.sysid.screening import CommandUnit, check_consistency, command_units, sign_warnings, unit_notes, with_units
 from kraft.sysid.selection import check_free_parameters, check_settings, excluded_for_planning
 from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
@@ -151,6 +152,8 @@ def run_sysid(
     recorded = split.held_out
     split = replace(split, fitted=with_units(split.fitted, units), held_out=with_units(split.held_out, units))
     try:
+        if auto or has_terms(base.definition):  # before drives that a constant does not explain are taken for two cars
+            check_controls(split.fitted, SteeringInMotion.of(split.fitted))
         check_consistency(split.fitted)
         left_out = unexplained_stretches((*split.fitted, *split.held_out))
         for stretch in left_out:
@@ -387,7 +390,7 @@ def _unknown_to_planning(request: SysidRequest, identification: Identification) 
     names = [
         name
         for name in identification.auxiliary
-        if affects_motion(name) and not identification.parameters[name].is_zero
+        if is_unknown_to_planning(name) and not identification.parameters[name].is_zero
     ]
     if request.out is None or not names:
         return ()

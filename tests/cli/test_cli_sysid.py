@@ -16,7 +16,7 @@ from support.recorded import FOUR, IDENTIFY
 
 from kraft.recording import experiment
 from kraft.sysid import factor_graph as compilation
-from kraft.sysid.parameters import affects_motion
+from kraft.sysid.parameters import is_unknown_to_planning
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
 from kraft_cli.work import sysid as module
@@ -191,7 +191,7 @@ def test_a_file_is_for_planning_which_knows_no_friction_beside_the_model(
     content = json.loads(capsys.readouterr().out)
     written = load_vehicle_config("my.yaml")
     assert "friction" in alone
-    assert not [name for name in content["params"] if affects_motion(name)]
+    assert not [name for name in content["params"] if is_unknown_to_planning(name)]
     assert written.values == {
         name: pytest.approx(content["params"][name]["value"], rel=1e-5) for name in written.values
     }
@@ -200,16 +200,18 @@ def test_a_file_is_for_planning_which_knows_no_friction_beside_the_model(
     )
     assert written.top_speed == "v_delta"
     assert written.values["v_delta"] < 1.02 * fastest
-    unsought = "delay, lag_throttle, lag_steering, friction, dead_band_throttle, dead_band_steering"
+    assert (written.delay is None) == ("delay" not in content["params"])  # of all commands: driving knows it
+    unsought = "lag_throttle, lag_steering, friction, dead_band_throttle, dead_band_steering"
     assert f"not considered, because planning does not model them: {unsought}" in content["notes"]
 
 
 def test_a_file_with_what_planning_does_not_know_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["sysid", "logs", "--model", "mushr-lag", "--out", "my.yaml", "--extras", "delay,lever", "--json"]) == 0
+    arguments = ["sysid", "logs", "--model", "mushr-lag", "--out", "my.yaml", "--json"]
+    assert main([*arguments, "--extras", "lag_steering,lever"]) == 0
     content = json.loads(capsys.readouterr().out)
-    warning = "planning does not model delay, "
+    warning = "planning does not model lag_steering, "
     assert any(each.startswith(warning) for each in content["warnings"])
-    assert main(["sysid", "logs", "--model", "mushr-lag", "--out", "my.yaml", "--param", "delay=0.02", "--json"]) == 0
+    assert main([*arguments, "--param", "lag_steering=0.02"]) == 0
     assert any(each.startswith(warning) for each in json.loads(capsys.readouterr().out)["warnings"])
 
 
@@ -223,9 +225,9 @@ def test_an_extra_that_was_asked_for_is_neither_shown_by_the_data_nor_unsought(
     assert main(["sysid", "logs", "--model", "mushr-lag", "--out", "my.yaml", "--json", *options]) == 0
     content = json.loads(capsys.readouterr().out)
     assert (
-        "requested auxiliary parameters, kept: friction; significant auxiliary parameters, kept: lever; removed: yaw_offset"
+        "requested auxiliary parameters, kept: friction; significant auxiliary parameters, kept: lever; removed: delay, yaw_offset"
     ) in content["notes"]
-    unsought = "delay, lag_throttle, lag_steering, dead_band_throttle, dead_band_steering"
+    unsought = "lag_throttle, lag_steering, dead_band_throttle, dead_band_steering"
     assert f"not considered, because planning does not model them: {unsought}" in content["notes"]
     assert any(each.startswith("planning does not model friction") for each in content["warnings"]) == unknown
 
@@ -344,7 +346,7 @@ def test_the_first_identification_says_that_it_compiles_and_a_quiet_one_does_not
          "--freeze: side is"),
         (["nowhere", "--freeze", "L,phi_diff,v_delta,tau", "--extras", "none"],
          "--freeze: leaves nothing of mushr-lag to identify"),
-        (["nowhere", "--freeze", "L,phi_diff,v_delta,tau,lever,yaw_offset", "--out", "my.yaml"],
+        (["nowhere", "--freeze", "L,phi_diff,v_delta,tau,delay,lever,yaw_offset", "--out", "my.yaml"],
          "--freeze: leaves nothing of mushr-lag to identify"),
         (["logs", "--mapping", "none.yaml"], "none.yaml: "),
         (["logs", "--out", "my.txt"], "my.txt: "),

@@ -46,9 +46,17 @@ def test_the_same_result_gives_the_same_bytes(tmp_path: Path) -> None:
 def test_parameters_fit_residuals_prediction_and_correlation_are_on_the_page() -> None:
     seen = texts(page(SPLIT, RESULT))
     for said in ("L, m", "phi_diff, rad", "0.330", "0.310 to 0.350", "delay, s", "Fit of run_", "Residuals, yaw",
-                 "Prediction of run_4, 3 s at a time", "Position, held-out logs", "Correlation", "held out"):  # fmt: skip
+                 "Prediction of run_4, 3 s at a time", "Position, held-out logs", "constant motion", "Correlation",
+                 "held out"):  # fmt: skip
         assert said in seen
     assert "not identified" not in seen
+
+
+def test_a_long_name_of_a_log_leaves_the_caption_beside_it_its_room() -> None:
+    split = replace(SPLIT, held_out=(replace(LOGS[3], name="recorded_in_the_large_hall_" * 3),))
+    (line,) = [line for line in texts(page(split, RESULT)).splitlines() if line.startswith("Prediction of")]
+    assert line.startswith("Prediction of recorded_in")
+    assert line.endswith("..., 3 s at a time") or line.endswith("\N{HORIZONTAL ELLIPSIS}, 3 s at a time")
 
 
 def test_the_choice_of_terms_and_models_is_on_the_page() -> None:

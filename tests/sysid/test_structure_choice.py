@@ -65,19 +65,31 @@ def test_the_search_ends_when_needed_terms_are_off(errors: tuple[float, ...], en
     assert StructureSearch._too_few(path) is ended
 
 
-def with_slide(value: float, std: float, scatter: float = 0.0) -> Structure:
-    """A structure with `slide` at a value whose standard deviation by the noise, and scatter between folds, are given."""
+def test_a_single_fold_that_is_worse_does_not_end_the_search() -> None:
+    """Its drive alone shows a term that is still on, and is predicted with the prior of that term."""
+    path = [structure("a " * (4 - k), 1.0 + 0.01 * k) for k in range(4)]
+    for k, each in enumerate(path):
+        each.errors[0] += 20.0 * k
+    assert not StructureSearch._too_few(path)
+
+
+def with_slide(value: float, std: float, scatter: float = 0.0, by_windows: bool = False) -> Structure:
+    """A structure with `slide` at a value; its standard deviation by the noise, and scatter between folds, are given.
+
+    The scatter may be that between the two windows of each fold instead, which do not show it together.
+    """
     p = parameters_of(load_vehicle_config("car"), Settings(), ())
     p = replace(p, frozen=frozenset(p.names) - {"slide"})
     k, size = p.index("slide"), len(p.names)
     information, gradient = np.zeros((FOLDS, size, size)), np.zeros((FOLDS, size))
     information[:, k, k] = std**-2.0 / FOLDS
     gradient[:, k] = scatter * information[:, k, k] * np.where(np.arange(FOLDS) % 2, 1.0, -1.0)
+    windows = np.concatenate([gradient, -gradient]) if by_windows else None
+    gradient = np.zeros((FOLDS, size)) if by_windows else gradient
     rho = p.nominal.copy()
     rho[k] = value
-    optimum: Any = SimpleNamespace(
-        point=SimpleNamespace(rho=rho), factors=RhoFactors(information, gradient, np.zeros(size), np.zeros(size))
-    )
+    factors = RhoFactors(information, gradient, np.zeros(size), np.zeros(size), windows)
+    optimum: Any = SimpleNamespace(point=SimpleNamespace(rho=rho), factors=factors)
     graph: Any = SimpleNamespace(problem=SimpleNamespace(parameters=p))
     return replace(structure("slide", 1.0), graph=graph, optimum=optimum)
 
@@ -88,10 +100,18 @@ def with_slide(value: float, std: float, scatter: float = 0.0) -> Structure:
         (with_slide(0.15, 0.02), 6.0, True),
         (with_slide(0.15, 0.1), 1.0, False),
         (with_slide(0.15, 0.02, scatter=0.3), 6.0, False),
+        (with_slide(0.15, 0.02, scatter=0.3, by_windows=True), 6.0, False),
         (with_slide(0.0005, 0.0001), 6.0, False),
         (with_slide(0.0, 0.1), 0.0, False),
     ],
-    ids=["by all folds", "by chance", "folds that disagree", "far smaller than in cars", "at its bound"],
+    ids=[
+        "by all folds",
+        "by chance",
+        "folds that disagree",
+        "windows that disagree",
+        "far smaller than in cars",
+        "at its bound",
+    ],
 )
 def test_the_likelihood_shows_a_term_that_is_more_probable_than_none(term: Structure, gain: float, shown: bool) -> None:
     assert is_shown(term.graph.problem.parameters, term.optimum, "slide", gain) is shown

@@ -20,6 +20,7 @@ from kraft.sysid.dynamics import ActuatorModel, DiscreteModel
 from kraft.sysid.identify import identify_terms
 from kraft.sysid.parameters import parameters_of
 from kraft.sysid.prediction import constant_windows, window_errors
+from kraft.sysid.selection import is_shown
 from kraft.sysid.smoothing import thinned
 from kraft.sysid.structure import StructureSearch
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
@@ -189,6 +190,29 @@ def test_long_windows_switch_a_term_off_that_they_do_not_show() -> None:
     path = search.path()
     assert path[0].terms == ("slide",)
     assert search.in_long_windows(search.converged(path[0]), path)[0].terms == ()
+
+
+def test_a_term_that_predictions_do_not_need_and_no_car_has_so_small_is_switched_off() -> None:
+    """The likelihood shows it, as it shows effects of the discrete steps."""
+    model = car(friction=0.002)
+    open_ = (
+        "friction",
+        "phi_diff",
+        "steer",
+        "a_drive",
+        "damping",
+        "L",
+        "full_throttle",
+        "full_steering",
+        "full_reverse",
+    )
+    values = {name: value for name, value in model.parameters.items() if name not in open_} | {"lever": LEVER}
+    logs = [drive(model, seed, 30.0) for seed in range(5)]
+    search = StructureSearch(car_file(), logs, Settings(values=values, auxiliary="none"), lambda *_: None)
+    found = search.full()
+    gain = search.without(found, "friction").optimum.cost - found.optimum.cost
+    assert is_shown(found.graph.problem.parameters, found.optimum, "friction", gain)
+    assert search.pruned(found).terms == ()
 
 
 def test_a_model_whose_error_grows_is_not_compared_in_long_windows() -> None:
