@@ -245,7 +245,7 @@ class Levels:
     def __init__(self, solvers: Solvers, settings: PlannerSettings) -> None:
         self._solvers, self._settings = solvers, settings.bound or CalibratedBound()
         self.all = levels_of(settings)
-        self.wide = len(self._settings.shares)
+        self.wide = sum(not level.narrow for level in self.all)
         """number of the levels at which a plan keeps the margin"""
         self.far = sum(level.foresight == self.all[0].foresight for level in self.all)
         """number of the levels at which a plan keeps the clearance as long as at the first one"""

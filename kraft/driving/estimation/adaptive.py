@@ -94,7 +94,8 @@ class AdaptiveEstimator:
         self._settings, self._model = settings, model
         parameters = online_parameters(model.vehicle, settings)
         self._noise = NoiseEstimate.of(settings)
-        if model.vehicle.gravity_share is None:  # then no force tells the slope
+        self._force = [] if model.vehicle.gravity_share is None else [parameters.index(name) for name in FORCE]
+        if not self._force:  # then no force tells the slope
             camera = None
         self._filter = CorrelatedFilter(settings, model, start_state, camera)
         self._camera = camera
@@ -112,9 +113,7 @@ class AdaptiveEstimator:
         self._identified: Identified | None = None
         self.learned: Learned | None = None
         self._history = DriveHistory(start_state, model)
-        if camera is not None:
-            std = [parameters.specs[parameters.names.index(name)].std for name in FORCE]
-            self._of_drive = ConstantOfDrive(np.array(std))
+        self._of_drive = ConstantOfDrive(parameters.std[self._force])
         self._delay_index = parameters.index(DELAY)
         self.horizon = 0.0 if self._delay_index < 0 else parameters.specs[self._delay_index].value
         self._filter.set_delay(self.horizon)
@@ -215,13 +214,12 @@ class AdaptiveEstimator:
         A vehicle that pushes against a box until it stands seems to have a weak drive and a force against it.  With a
         force beyond the drive no manoeuvre would stop, so that nothing could be planned, not even the way back.
         """
-        if self._model.vehicle.gravity_share is None:
+        if not self._force:
             return values
-        force = [list(self._model.vehicle.parameters).index(name) for name in FORCE]
-        held = values.copy()
-        held[force] = 0.0
+        held, force = values.copy(), values[self._force]
+        held[self._force] = 0.0
         most = HOLDS * self._model.acceleration_at_rest(held)
-        held[force] = values[force] * min(1.0, most / max(float(np.linalg.norm(values[force])), 1e-9))
+        held[self._force] = force * min(1.0, most / max(float(np.linalg.norm(force)), 1e-9))
         return held
 
     def _doubt_delay(self, variance: float) -> None:
@@ -255,8 +253,7 @@ class AdaptiveEstimator:
         """
         if self._camera is None or not self._settings.identify:
             return
-        felt, names = felt_gravity(self._model.vehicle), self._window.parameters.names
-        force = [names.index(name) for name in FORCE]
+        felt, force = felt_gravity(self._model.vehicle), self._force
         of_window = identified.constant[force], identified.constant_covariance[np.ix_(force, force)]
         mean, covariance = self._of_drive.update(float(identified.times[0]), float(identified.times[-1]), *of_window)
         slope, covariance = _possible(-mean / felt), covariance / felt**2
