@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kraft.sysid.chains import Chains
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.jit import cache_folder, compiled, part
 
@@ -58,9 +57,8 @@ class Eliminated(NamedTuple):
     scratch: Floats  # (4, m, m)
 
 
-def allocate(chains: Chains, nx: int, np_: int) -> Eliminated:
-    """Arrays for the elimination of some chains."""
-    steps, states = len(chains.h), chains.states
+def allocate(steps: int, states: int, logs: int, nx: int, np_: int) -> Eliminated:
+    """Arrays for the elimination of chains with so many steps and states, of so many logs."""
     side = max(nx, np_) + nx + 1
     return Eliminated(
         diagonal=np.empty((states, nx, nx)),
@@ -68,8 +66,8 @@ def allocate(chains: Chains, nx: int, np_: int) -> Eliminated:
         noise=np.empty((steps, nx, nx)),
         left=np.empty((steps, nx)),
         by_rho=np.empty((steps, nx, np_)),
-        information=np.empty((chains.logs, np_, np_)),
-        gradient=np.empty((chains.logs, np_)),
+        information=np.empty((logs, np_, np_)),
+        gradient=np.empty((logs, np_)),
         scratch=np.empty((4, side, side)),
     )
 

@@ -25,7 +25,7 @@ from kraft.sysid.initial_values import smooth_chains
 from kraft.sysid.interface import Noise, Settings
 from kraft.sysid.optimiser import RHO, RhoFactors
 from kraft.sysid.parameters import parameters_of
-from kraft.sysid.problem import Point, Problem, assemble, noise_model, starting_point
+from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, noise_model, starting_point
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.jit import cache_root
 from ompl_ext.kernels.specialise import are_steps_cached
@@ -38,7 +38,12 @@ class FastGraph:
     def __init__(self, problem: Problem) -> None:
         """Allocate the arrays of the elimination."""
         self.problem = problem
-        self._out: Eliminated = allocate(problem.chains, problem.dynamics.nx, len(problem.parameters.names))
+        self._out = self._allocated(len(problem.parameters.names))
+
+    def _allocated(self, size: int) -> Eliminated:
+        """Arrays for the elimination onto `size` parameters."""
+        chains = self.problem.chains
+        return allocate(len(chains.h), chains.states, chains.logs, self.problem.dynamics.nx, size)
 
     def cost(self, point: Point) -> float:
         """Cost of a point."""
@@ -90,9 +95,35 @@ class FastGraph:
             command=np.concatenate([self._graph.command, effects], axis=2),
             pose_rho=np.concatenate([self._graph.pose_rho, none], axis=2),
         )
-        out = allocate(self.problem.chains, self.problem.dynamics.nx, size + m)
+        out = self._allocated(size + m)
         eliminate(graph, 0.0, out)
         return out.information
+
+    def since(self, begin: float, noise: NoiseModel) -> tuple[int, Floats, Matrix]:
+        """Number of poses since `begin` (s), and the gradient (np,) and the information (np, np) of that motion alone.
+
+        What it tells about rho does not include where it begins, whose state is free; poses have another `noise`.
+        """
+        chains, graph = self.problem.chains, self._graph
+        times = [segment.times for segment in chains.segments]
+        c = sum(float(each[-2]) < begin for each in times)  # chains that end before
+        if c == len(times):
+            return 0, np.zeros_like(self._point.rho), np.zeros(2 * self._point.rho.shape)
+        state = int(chains.first[c] + np.searchsorted(times[c], begin))
+        step = state - c  # each chain before has one state more than steps
+        pose = int(chains.seen[step])
+        residuals = graph.pose[pose:]
+        newest = graph._replace(
+            first=np.maximum(chains.first[c:] - state, 0), log=np.zeros(len(times) - c, dtype=np.int64),
+            h=graph.h[step:], seen=graph.seen[step:] - pose, share=graph.share[pose:],
+            dynamics=graph.dynamics[step:], jacobian=graph.jacobian[step:],
+            control=graph.control[step:], command=graph.command[step:],
+            pose=residuals, pose_state=graph.pose_state[pose:], pose_rho=graph.pose_rho[pose:],
+            weight=noise.weights(residuals), pose_information=noise.pose_sigmas**-2.0,
+        )  # fmt: skip
+        out = allocate(len(newest.h), int(newest.first[-1]), 1, self.problem.dynamics.nx, len(self._point.rho))
+        eliminate(newest, 0.0, out)
+        return len(residuals), out.gradient[0], out.information[0]
 
     def moved(self, change: Floats) -> Point:
         """The point that minimises the linearised problem among those whose rho changes by `change`.

@@ -52,6 +52,8 @@ REST_BEFORE: Final = 0.5
 """Time before the drive in which the vehicle rested at its start, s."""
 DRIVE_MAX: Final = 30.0
 """Age of the oldest poses that are kept for the window, s."""
+RECORD_ROWS: Final = 256
+"""Number of rows for which a record has room at first."""
 
 
 @dataclass(frozen=True)
@@ -78,30 +80,63 @@ class Drive:
         return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
 
 
+class _Record:
+    """Rows of an array with ascending times; what has been given out stays as it is."""
+
+    def __init__(self, columns: int) -> None:
+        self._rows, self._begin, self._end = np.empty((RECORD_ROWS, 1 + columns)), 0, 0
+
+    def append(self, time: float, *values: Floats) -> None:
+        """Add a row at `time` s."""
+        if self._end == len(self._rows):
+            kept = self._rows[self._begin :]
+            self._rows = np.empty((RECORD_ROWS + 2 * len(kept), kept.shape[1]))
+            self._rows[: len(kept)] = kept
+            self._begin, self._end = 0, len(kept)
+        self._rows[self._end, 0], self._rows[self._end, 1:] = time, np.concatenate(values)
+        self._end += 1
+
+    def forget(self, before: float) -> None:
+        """Drop the rows before `before` s, apart from the newest one."""
+        self._begin += int(np.searchsorted(self.times[:-1], before))
+
+    @property
+    def times(self) -> Floats:
+        """Times (n,) of the rows, s."""
+        return self._rows[self._begin : self._end, 0]
+
+    @property
+    def values(self) -> Matrix:
+        """Rows (n, columns)."""
+        return self._rows[self._begin : self._end, 1:]
+
+
 class DriveHistory:
     """Recorded poses with the filter's states, commands and times of motion, the last `DRIVE_MAX` s of them."""
 
     def __init__(self, start_state: Floats, model: VehicleModel) -> None:
         self._theta = model.theta
         pose = start_state[[model.x, model.y, model.theta]]
-        before = np.arange(-REST_BEFORE, -0.05, 0.1)
-        self._poses = [(float(t), pose, start_state) for t in before]
-        self._commands = [(-math.inf, model.rest)]
+        self._poses = _Record(3 + len(start_state))
+        for t in np.arange(-REST_BEFORE, -0.05, 0.1):
+            self._poses.append(float(t), pose, start_state)
+        self._commands = _Record(len(model.rest))
+        self._commands.append(-math.inf, model.rest)
         self.moving: list[tuple[float, float]] = []
 
     def observe(self, observation: Observation, state: Floats) -> None:
         """Add a pose with the state (nx,) that the filter has at its time; late ones are left out."""
-        if observation.time <= self._poses[-1][0]:
+        if observation.time <= self._poses.times[-1]:
             return
         yaw = state[self._theta] + math.remainder(observation.theta - state[self._theta], math.tau)
-        self._poses.append((observation.time, np.array([observation.x, observation.y, yaw]), state.copy()))
-        if self._poses[0][0] < observation.time - 2.0 * DRIVE_MAX:  # where another process identifies, nobody asks
+        self._poses.append(observation.time, np.array([observation.x, observation.y, yaw]), state)
+        if self._poses.times[0] < observation.time - 2.0 * DRIVE_MAX:  # where another process identifies, nobody asks
             self._forget(observation.time - DRIVE_MAX - REST_BEFORE)
 
     def command(self, time: float, control: Floats, moves: bool) -> None:
         """Add a command, and whether the vehicle moves at its time."""
-        last = self._commands[-1][0]
-        self._commands.append((time, control))
+        last = float(self._commands.times[-1])
+        self._commands.append(time, control)
         if moves:
             if self.moving and self.moving[-1][1] >= last:
                 self.moving[-1] = self.moving[-1][0], time
@@ -111,21 +146,17 @@ class DriveHistory:
     def drive(self, begin: float) -> Drive | None:
         """The recorded drive from `begin` (s) on; None before two poses."""
         self._forget(begin)
-        if len(self._poses) < 2:
+        times, poses, commanded = self._poses.times, self._poses.values, self._commands.times
+        if len(times) < 2:
             return None
-        times, poses, states = zip(*self._poses, strict=True)
-        command_times, commands = zip(*self._commands, strict=True)
-        first = min(times[0], command_times[1] if len(command_times) > 1 else times[0]) - 1.0
-        return Drive(
-            np.array(times), np.array(poses), np.array(states),
-            np.array([max(t, first) for t in command_times]), np.array(commands),
-        )  # fmt: skip
+        first = min([times[0], *commanded[1:2]]) - 1.0
+        return Drive(times, poses[:, :3], poses[:, 3:], np.maximum(commanded, first), self._commands.values)
 
     def _forget(self, before: float) -> None:
         """Drop what is not needed for a drive from `before` (s) on."""
-        self._poses = [entry for entry in self._poses if entry[0] >= before]
-        keep = max((k for k, entry in enumerate(self._commands) if entry[0] <= before - DELAY_MAX), default=0)
-        del self._commands[:keep]
+        self._poses.forget(before)
+        acting = int(np.searchsorted(self._commands.times, before - DELAY_MAX, side="right")) - 1
+        self._commands.forget(float(self._commands.times[max(acting, 0)]))
         self.moving = [span for span in self.moving if span[1] >= before]
 
 
@@ -210,8 +241,7 @@ class SlidingWindow:
         segments = self._segments(drive, moving, self._length)
         if not segments:
             return None
-        model = self._noise_model(noise(math.inf))
-        problem = assemble(segments, 1, self.parameters, model)
+        problem = assemble(segments, 1, self.parameters, self._noise_model(noise(math.inf)))
         graph = FastGraph(problem)
         optimum = optimise(graph, self._start(problem, drive), self._iterations)
         self.rho = optimum.point.rho
@@ -219,17 +249,24 @@ class SlidingWindow:
         covariance = np.zeros((len(free), len(free)))
         covariance[np.ix_(free, free)] = np.linalg.inv(optimum.factors.total_information[np.ix_(free, free)])
         times = np.concatenate([s.part.pose_times[s.poses] for s in segments])
-        found = self._with_change(drive, moving, noise, covariance)
+        found = self._with_change(graph, moving, noise, covariance)
         residuals = -problem.pose_residuals(optimum.point)
         return Identified(*found, times, residuals, self.rho.copy(), covariance)
 
     def _with_change(
-        self, drive: Drive, moving: Sequence[tuple[float, float]], noise: Callable[[float], Noise], covariance: Matrix
+        self,
+        graph: FastGraph,
+        moving: Sequence[tuple[float, float]],
+        noise: Callable[[float], Noise],
+        covariance: Matrix,
     ) -> tuple[Floats, Matrix]:
-        """Rho and its covariance after the most significant change; those of the window if none is significant."""
+        """Rho and its covariance after the most significant change; those of the window if none is significant.
+
+        `graph` is that of the window, linearised at its optimum.
+        """
         best: _Change | None = None
         for begin in (_begin_of_last(moving, RECENT), self._changed_at):
-            change = None if begin is None else self._change(drive, moving, noise, covariance, begin)
+            change = None if begin is None else self._change(graph, moving, noise, covariance, begin)
             if change is None or (begin != self._changed_at and change.significance < NOTICED):
                 continue
             if best is None or change.significance > best.significance:
@@ -239,7 +276,7 @@ class SlidingWindow:
 
     def _change(
         self,
-        drive: Drive,
+        graph: FastGraph,
         moving: Sequence[tuple[float, float]],
         noise: Callable[[float], Noise],
         covariance: Matrix,
@@ -254,10 +291,11 @@ class SlidingWindow:
         since, total = (sum(max(0.0, last - max(first, t)) for first, last in moving) for t in (begin, -math.inf))
         if not RECENT - ROUNDING <= since <= min(self._length, total) - EARLIER:
             return None
-        segments = self._segments(drive, moving, since)
-        if not segments:
+        (poses, *brief), (_, *long) = (
+            graph.since(begin - MARGIN, self._noise_model(each)) for each in (noise(since), noise(math.inf))
+        )
+        if poses < POSES_MIN:
             return None
-        brief, long = self._at_rho(drive, segments, (noise(since), noise(math.inf)))
         free, square = self.parameters.free, np.ix_(*2 * (self.parameters.free,))
         with_brief, shift = np.zeros_like(covariance), np.zeros_like(self.rho)
         with_brief[square] = np.linalg.inv(np.linalg.inv(covariance[square]) + (brief[1] - long[1])[square])
@@ -299,24 +337,6 @@ class SlidingWindow:
         return _Change(
             begin, float(significance[k]), changed, covariance + share / total * np.outer(direction, direction)
         )
-
-    def _at_rho(
-        self, drive: Drive, segments: list[Segment], noises: Sequence[Noise]
-    ) -> Iterator[tuple[Floats, Matrix]]:
-        """Gradient (np,) and information (np, np) of the cost of segments at the window's rho, with each noise.
-
-        The states, about which motion is nearly linear, are optimal for the first noise.
-        """
-        problem = assemble(segments, 1, self.parameters, self._noise_model(noises[0]))
-        graph = FastGraph(problem)
-        graph.linearise(self._start(problem, drive))
-        graph.reduce(0.0)
-        point = graph.moved(np.zeros_like(self.rho))
-        for noise in noises:
-            graph = FastGraph(replace(problem, noise=self._noise_model(noise)))
-            graph.linearise(point)
-            factors = graph.reduce(0.0)
-            yield factors.gradient[0], factors.information[0]
 
     def _noise_model(self, noise: Noise) -> NoiseModel:
         return NoiseModel(noise, self._process, self._control, threshold(ROBUST, 3))
