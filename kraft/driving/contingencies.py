@@ -403,10 +403,10 @@ class ContingencyRanking:
 
 def _part(plan: Reference, begin: float, end: float) -> tuple[Floats, Matrix, Matrix]:
     """Times, states and controls of a reference between two times (s)."""
-    inner = plan.times[(plan.times > begin + 1e-6) & (plan.times < end - 1e-6)]
-    times: Floats = np.concatenate([[begin], inner, [end]])
-    states = np.array([plan.state_at(float(t)) for t in times])
-    controls = np.array([plan.control_at(float(t)) for t in times[:-1]])
+    inner = np.flatnonzero((plan.times > begin + 1e-6) & (plan.times < end - 1e-6))
+    times: Floats = np.concatenate([[begin], plan.times[inner], [end]])
+    states = np.vstack([plan.state_at(begin), plan.states[inner], plan.state_at(end)])
+    controls = np.vstack([plan.control_at(begin), plan.controls[inner]])
     return times, states, controls
 
 

@@ -17,6 +17,7 @@ from ompl_ext.solver import DirtSolver
 RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)
 CORRECTION_ATTEMPTS = 12  # at retaining a rest with different random corrections
 ATTEMPT_TOLERANCE = 0.03  # by which the cost of a whole rest may be higher after each attempt at a cheaper one (s)
+FRUITLESS_ATTEMPTS = 4  # in a row, that retain no more and save less than this tolerance, after which no more are made
 ATTEMPT_SEEDS = 1_000_000_007  # between the seeds of two attempts
 
 
@@ -55,15 +56,19 @@ def start_with_best_corrections(
     """Start a query at `root` (nx,) with the seed that retains most of a rest, of several, the cheapest one if all.
 
     Corrections are random, and each of them is the best one for its own edge only: others pass where one fails.  A
-    cheaper whole rest is worth ever fewer attempts.
+    cheaper whole rest is worth ever fewer attempts, and where none helps, the cause is not the correction.
     """
     assert rest.edges is not None
-    edges, best = rest.edges, (-1, -math.inf, seed)
+    edges, best, fruitless = rest.edges, (-1, -math.inf, seed), 0
     part = slice(0, edges.rest)
     for attempt in range(attempts):
         dirt.start(root, seed + attempt * ATTEMPT_SEEDS)
         retained = dirt.retain_edges(edges.parents[part], edges.controls[part], edges.durations[part], edges.targets)
+        gains = retained > best[0] or (retained == best[0] and -dirt.best_cost > best[1] + ATTEMPT_TOLERANCE)
+        fruitless = 0 if gains else fruitless + 1
         best = max(best, (retained, -dirt.best_cost, seed + attempt * ATTEMPT_SEEDS))
+        if fruitless == FRUITLESS_ATTEMPTS:
+            break
         if best[0] == edges.rest and -best[1] <= rest.left + RETAINED_TOLERANCE + attempt * ATTEMPT_TOLERANCE:
             break
     dirt.start(root, best[2])

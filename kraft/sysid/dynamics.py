@@ -61,6 +61,11 @@ class ActuatorModel:
         self._last: tuple[bytes, Matrix, Floats] | None = None
         self._lags = [parameters.auxiliary_index(f"lag_{control}") for control in self._controls]
         self._dead_bands = [parameters.auxiliary_index(f"dead_band_{control}") for control in self._controls]
+        alike: dict[tuple[int, ...], list[int]] = {}
+        for k, delays in enumerate(self._delays):
+            alike.setdefault((self._lags[k], self._dead_bands[k], *delays), []).append(k)
+        self._alike = list(alike.values())
+        """controls with the same delay, lag and dead band: their means are computed together"""
 
     def mean(self, rho: Floats) -> tuple[Matrix, Floats]:
         """Acting controls (N, nu) of all steps and their derivatives (N, nu, np) with respect to rho.
@@ -76,11 +81,11 @@ class ActuatorModel:
         total = sum(s.steps for s in self._segments)
         means, slopes = np.empty((total, len(self._controls))), np.zeros((total, len(self._controls), self._size))
         for drive in self._drives:
-            for k in range(len(self._controls)):
-                found = self._one(drive, k, rho)
-                means[drive.rows, k] = found.values
+            for controls in self._alike:
+                found, places = self._acting(drive, controls, rho), np.ix_(drive.rows, controls)
+                means[places] = found.values
                 for j, slope in found.slopes.items():
-                    slopes[drive.rows, k, j] = slope
+                    slopes[(*places, j)] = slope
         return means, slopes
 
     def split(self, rho: Floats, *, halved: bool) -> tuple[Floats, Floats]:
@@ -96,7 +101,7 @@ class ActuatorModel:
             shares[drive.rows] = share
             edges = np.stack([drive.begin, drive.begin + share * drive.h, drive.begin + drive.h])
             for k in range(len(self._controls)):
-                times, values = self._commanded(drive, k)
+                times, values = self._commanded(drive, [k])
                 if (j := self._dead_bands[k]) >= 0:
                     values = np.sign(values) * np.maximum(np.abs(values) - rho[j], 0.0)
                 lag = float(rho[self._lags[k]]) if self._lags[k] >= 0 else 0.0
@@ -108,8 +113,8 @@ class ActuatorModel:
         """Share (n,) of each step of a drive after which its largest jump acts; `without` (n,) where there is none."""
         jumps, sizes = [], []
         for k, full in enumerate(self._ranges):
-            times, values = self._commanded(drive, k)
-            change = np.abs(np.diff(values)) / full
+            times, values = self._commanded(drive, [k])
+            change = np.abs(np.diff(values[:, 0])) / full
             jumps.append(times[change > 0.0] + self._delay(k, rho))
             sizes.append(change[change > 0.0])
         order = np.argsort(np.concatenate(jumps), kind="stable")
@@ -124,17 +129,17 @@ class ActuatorModel:
             largest[own], share[own] = size[found], (at[found] - drive.begin[own]) / drive.h[own]
         return share
 
-    def _commanded(self, drive: _Drive, k: int) -> tuple[Floats, Floats]:
-        """Times (n,) of the commands of a control, and its values (n + 1,) before the first and from each on."""
-        times, values = drive.part.command_times, drive.part.commands[:, k]
-        return times, np.concatenate([[self._rest[k] if drive.resting else values[0]], values])
+    def _commanded(self, drive: _Drive, controls: Sequence[int]) -> tuple[Floats, Matrix]:
+        """Times (n,) of the commands, and values (n + 1, m) of m controls: before the first command, and from each on."""
+        times, values = drive.part.command_times, drive.part.commands[:, controls]
+        return times, np.vstack([self._rest[controls] if drive.resting else values[0], values])
 
     def _delay(self, k: int, rho: Floats) -> float:
         return sum(float(rho[j]) for j in self._delays[k])
 
-    def _one(self, drive: _Drive, k: int, rho: Floats) -> _Acting:
-        """Means of one control in the steps of all segments of a drive."""
-        (times, values), slopes = self._commanded(drive, k), {}
+    def _acting(self, drive: _Drive, controls: Sequence[int], rho: Floats) -> _Acting:
+        """Means of controls that are alike in the steps of all segments of a drive."""
+        (times, values), slopes, k = self._commanded(drive, controls), {}, controls[0]
         if (j := self._dead_bands[k]) >= 0:
             signs = np.where(np.abs(values) > rho[j], np.sign(values), 0.0)
             slopes[j] = -self._means(drive, times, signs, k, rho).values
@@ -145,8 +150,8 @@ class ActuatorModel:
             slopes[j] = means.by_lag
         return _Acting(means.values, slopes)
 
-    def _means(self, drive: _Drive, times: Floats, values: Floats, k: int, rho: Floats) -> Means:
-        """Means of control k over the steps of a drive, delayed and lagged, with derivatives."""
+    def _means(self, drive: _Drive, times: Floats, values: Matrix, k: int, rho: Floats) -> Means:
+        """Means of signals over the steps of a drive, delayed and lagged as control k is, with derivatives."""
         delays, lag = self._delays[k], self._lags[k]
         begin = drive.begin - self._delay(k, rho)
         if not delays and lag < 0:
@@ -197,77 +202,85 @@ def _drives(segments: Sequence[Segment]) -> list[_Drive]:
 
 @dataclass(frozen=True, eq=False)
 class _Acting:
-    """Means (n,) of one control in the steps of a drive, and their derivatives by index of rho."""
+    """Means (n, m) of some controls in the steps of a drive, and their derivatives by index of rho."""
 
-    values: Floats
-    slopes: dict[int, Floats]
+    values: Matrix
+    slopes: dict[int, Matrix]
 
 
 @dataclass(frozen=True, eq=False)
 class Means:
-    """Means (steps,) of a signal between neighbouring times, with derivatives."""
+    """Means (steps, m) of signals between neighbouring times, with derivatives."""
 
-    values: Floats
-    by_time: Floats
+    values: Matrix
+    by_time: Matrix
     """derivative with respect to a shift of all times"""
-    by_lag: Floats
+    by_lag: Matrix
     """derivative with respect to the lag"""
 
 
 @dataclass(frozen=True, eq=False)
 class _Integrals:
-    """Value, first and second integral of the lagged signal at some times (n,), and derivatives by the lag."""
+    """Values, first and second integrals (n, m) of lagged signals at some times (n,), and derivatives by the lag."""
 
-    now: Floats
-    once: Floats
-    twice: Floats
-    once_by_lag: Floats
-    twice_by_lag: Floats
+    now: Matrix
+    once: Matrix
+    twice: Matrix
+    once_by_lag: Matrix
+    twice_by_lag: Matrix
 
 
-def box_means(times: Floats, values: Floats, begin: Floats, h: Floats) -> Means:
-    """Means over steps of h (n,) s from `begin` (n,), of a signal without lag that has values[i] before times[i]."""
+def box_means(times: Floats, values: Matrix, begin: Floats, h: Floats) -> Means:
+    """Means over steps of h (n,) s from `begin` (n,), of m signals without lag that are values[i] (m,) before times[i].
+
+    The last row of `values` (k + 1, m) is that after the last of the `times` (k,).
+    """
     found = _integrals(times, values, np.concatenate([begin, begin + h]), 0.0)
-    return Means(*(np.diff(each.reshape(2, -1), axis=0)[0] / h for each in (found.once, found.now, found.once_by_lag)))
+    once, now, by_lag = (each.reshape(2, len(h), -1) for each in (found.once, found.now, found.once_by_lag))
+    return Means(*((each[1] - each[0]) / h[:, None] for each in (once, now, by_lag)))
 
 
-def hat_means(times: Floats, values: Floats, begin: Floats, h: Floats, lag: float) -> Means:
+def hat_means(times: Floats, values: Matrix, begin: Floats, h: Floats, lag: float) -> Means:
     """Means weighted with a hat function that reaches half a step beyond each step; `lag` is in s."""
     found = _integrals(times, values, np.concatenate([begin - 0.5 * h, begin + 0.5 * h, begin + 1.5 * h]), lag)
-    square = h**2
-    parts = (each.reshape(3, -1) for each in (found.twice, found.once, found.twice_by_lag))
+    square = h[:, None] ** 2
+    parts = (each.reshape(3, len(h), -1) for each in (found.twice, found.once, found.twice_by_lag))
     return Means(*(((after - here) - (here - before)) / square for before, here, after in parts))
 
 
-def _integrals(times: Floats, values: Floats, at: Floats, lag: float) -> _Integrals:
+def _integrals(times: Floats, values: Matrix, at: Floats, lag: float) -> _Integrals:
     knots = np.concatenate([[min(times[0], at.min()) - 1.0], times])
-    spans = np.diff(knots)
-    once = np.concatenate([[0.0], np.cumsum(spans * values[:-1])])
-    twice = np.concatenate([[0.0], np.cumsum(spans * (once[:-1] + 0.5 * spans * values[:-1]))])
+    spans = np.diff(knots)[:, None]
+    once, twice = np.zeros_like(values), np.zeros_like(values)
+    np.cumsum(spans * values[:-1], axis=0, out=once[1:])
+    np.cumsum(spans * (once[:-1] + 0.5 * spans * values[:-1]), axis=0, out=twice[1:])
     i = np.searchsorted(knots, at, side="right") - 1
-    d, now = at - knots[i], values[i]
+    d, now = (at - knots[i])[:, None], values[i]
     once, twice = once[i] + d * now, twice[i] + d * (once[i] + 0.5 * d * now)
-    behind = _lag_deviation(spans, values, i, d, lag)
-    now, gone = now + behind[:, 0], now + behind[:, 0] - values[0]
-    once_by_lag = -gone - lag * behind[:, 1]
-    once -= lag * gone
-    rest = once - values[0] * (at - knots[0])  # integral of `gone`
+    since = (at - knots[0])[:, None]
+    if lag < LAG_MIN:
+        gone = now - values[0]
+        rest = once - values[0] * since  # integral of `gone`
+        return _Integrals(now, once, twice, -gone, -rest)
+    behind, slope = _lag_deviation(spans, values, i, d, lag)
+    now, gone = now + behind, now + behind - values[0]
+    once_by_lag = -gone - lag * slope
+    once = once - lag * gone
+    rest = once - values[0] * since
     return _Integrals(now, once, twice - lag * rest, once_by_lag, -rest - lag * once_by_lag)
 
 
-def _lag_deviation(spans: Floats, values: Floats, i: Ints, d: Floats, lag: float) -> Matrix:
-    """(n, 2) lagged signal less the held one, `d` s after knot `i`, and its derivative with respect to the lag."""
-    if lag < LAG_MIN:
-        return np.zeros((len(d), 2))
+def _lag_deviation(spans: Matrix, values: Matrix, i: Ints, d: Matrix, lag: float) -> tuple[Matrix, Matrix]:
+    """Lagged signals less the held ones, `d` (n, 1) s after knots `i`, and the derivative by the lag, (n, m) each."""
     left = np.exp(-spans / lag)
     # the deviation decays between jumps and changes by each jump: a bidiagonal system
-    jumps = np.concatenate([[0.0], -np.diff(values)])
+    jumps = np.vstack([np.zeros(values.shape[1]), -np.diff(values, axis=0)])
     chain = np.array([np.ones(len(values)), np.append(-left, 0.0)])
     behind = solve_banded((1, 0), chain, jumps, check_finite=False)
-    slowed = np.concatenate([[0.0], left * spans / lag**2 * behind[:-1]])
+    slowed = np.vstack([np.zeros(values.shape[1]), left * spans / lag**2 * behind[:-1]])
     slope = solve_banded((1, 0), chain, slowed, check_finite=False)
     share = np.exp(-d / lag)
-    return np.column_stack([behind[i] * share, (slope[i] + behind[i] * d / lag**2) * share])
+    return behind[i] * share, (slope[i] + behind[i] * d / lag**2) * share
 
 
 BREAKAWAY = 0.05

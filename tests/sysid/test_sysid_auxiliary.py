@@ -30,18 +30,18 @@ def lag() -> VehicleConfig:
 def test_means_of_a_lagging_signal_are_those_of_its_equation(lag: float) -> None:
     """A hat over the solution of T y' = w - y, integrated finely; and the derivatives by time and by lag."""
     rng = np.random.default_rng(0)
-    times, values, h = np.cumsum(rng.uniform(0.01, 0.3, 12)), rng.normal(size=13), 0.05
+    times, values, h = np.cumsum(rng.uniform(0.01, 0.3, 12)), rng.normal(size=(13, 1)), 0.05
     at = 0.123 + h * np.arange(31)
     found = hat_means(times, values, at[:-1], np.full(30, h), lag)
     fine, n = h / 1000, round((at[-1] + h) / (h / 1000))
-    held = values[np.searchsorted(times, fine * (np.arange(n) + 0.5), side="right")]
+    held = values[np.searchsorted(times, fine * (np.arange(n) + 0.5), side="right"), 0]
     y = np.empty(n)
     y[0], stays = held[0], np.exp(-fine / lag) if lag else 0.0
     for i in range(1, n):
         y[i] = held[i] + (y[i - 1] - held[i]) * stays
     middles = fine * (np.arange(n) + 0.5)
     hats = np.maximum(0.0, 1.0 - np.abs(middles - (at[:-1, None] + h / 2)) / h)
-    assert found.values == pytest.approx(hats @ y / hats.sum(axis=1), abs=2e-3)
+    assert found.values[:, 0] == pytest.approx(hats @ y / hats.sum(axis=1), abs=2e-3)
     lags = (hat_means(times, values, at[:-1], np.full(30, h), lag + change).values for change in (9e-6, 11e-6))
     by_lag = np.diff(list(lags), axis=0)[0] / 2e-6
     assert hat_means(times, values, at[:-1], np.full(30, h), lag + 1e-5).by_lag == pytest.approx(
@@ -54,7 +54,7 @@ def test_means_of_a_lagging_signal_are_those_of_its_equation(lag: float) -> None
 
 def test_a_lag_of_nothing_starts_like_a_delay() -> None:
     """Its derivative is there already, so that the optimiser leaves the bound where the data show a lag."""
-    times, values, at = np.array([0.1, 0.4, 0.9]), np.array([0.0, 1.0, -1.0, 0.5]), 0.05 * np.arange(25)
+    times, values, at = np.array([0.1, 0.4, 0.9]), np.array([[0.0], [1.0], [-1.0], [0.5]]), 0.05 * np.arange(25)
     found = hat_means(times, values, at, np.full(25, 0.05), 0.0)
     assert found.by_lag == pytest.approx(-found.by_time)
 
