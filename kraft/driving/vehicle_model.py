@@ -147,21 +147,6 @@ class VehicleModel:
         inside: Floats = np.minimum(np.maximum(control, self.low), self.high)
         return inside
 
-    def course(self, state: Floats, control: Floats) -> tuple[float, float]:
-        """Curvature (1/m) and slip angle (rad) of the additional motion if the speed alone were a little higher."""
-        faster, slower = np.array(state, dtype=np.float64), np.array(state, dtype=np.float64)
-        faster[self.v] += 0.05
-        slower[self.v] -= 0.05
-        gained = self.advance(faster, control, INSTANT) - self.advance(slower, control, INSTANT)
-        dx, dy, turn = (float(gained[k]) for k in self.pose)
-        if (length := math.hypot(dx, dy)) < 1e-12:
-            return 0.0, 0.0
-        return turn / length, math.remainder(math.atan2(dy, dx) - float(state[self.theta]), math.tau)
-
-    def courses(self, states: Matrix, control: Floats) -> list[tuple[float, float]]:
-        """`course` of each of the states (n, nx)."""
-        return [self.course(state, control) for state in states]
-
     def velocity_drift(self, speed_drift: float) -> Floats:
         """Variance rate (nx,) of the velocities if the speed drifts by `speed_drift` m/s in one second.
 
@@ -335,15 +320,6 @@ class CarModel(VehicleModel):
         )  # fmt: skip
         last: Matrix = states[-1]
         return last
-
-    def course(self, state: Floats, control: Floats) -> tuple[float, float]:
-        """Curvature (1/m) and slip angle (rad) at a steering that is held."""
-        steering = float(control[self.steering])
-        return self.curvature(steering), self.slip(steering)
-
-    def courses(self, states: Matrix, control: Floats) -> list[tuple[float, float]]:
-        """`course` of each of the states (n, nx), the same for all."""
-        return [self.course(states[0], control)] * len(states)
 
     def velocity_drift(self, speed_drift: float) -> Floats:
         """None (nx,): the speed follows the throttle."""

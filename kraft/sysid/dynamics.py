@@ -82,10 +82,10 @@ class ActuatorModel:
         means, slopes = np.empty((total, len(self._controls))), np.zeros((total, len(self._controls), self._size))
         for drive in self._drives:
             for controls in self._alike:
-                found, places = self._acting(drive, controls, rho), np.ix_(drive.rows, controls)
-                means[places] = found.values
+                found, rows, columns = self._acting(drive, controls, rho), drive.rows[:, None], np.array(controls)
+                means[rows, columns] = found.values
                 for j, slope in found.slopes.items():
-                    slopes[(*places, j)] = slope
+                    slopes[rows, columns, j] = slope
         return means, slopes
 
     def split(self, rho: Floats, *, halved: bool) -> tuple[Floats, Floats]:
@@ -130,7 +130,7 @@ class ActuatorModel:
         return share
 
     def _commanded(self, drive: _Drive, controls: Sequence[int]) -> tuple[Floats, Matrix]:
-        """Times (n,) of the commands, and values (n + 1, m) of m controls: before the first command, and from each on."""
+        """Times (n,) of the commands, and values (n + 1, m) of m controls before the first and from each on."""
         times, values = drive.part.command_times, drive.part.commands[:, controls]
         return times, np.vstack([self._rest[controls] if drive.resting else values[0], values])
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -30,6 +31,15 @@ from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.jit import cache_root
 from ompl_ext.kernels.specialise import are_steps_cached
 from ompl_ext.vehicle import Vehicle
+
+
+@dataclass(frozen=True, eq=False)
+class MotionFactor:
+    """Quadratic cost of a part of the motion: number of its poses, gradient (np,) and information (np, np) by rho."""
+
+    poses: int
+    gradient: Floats
+    information: Matrix
 
 
 class FastGraph:
@@ -99,16 +109,16 @@ class FastGraph:
         eliminate(graph, 0.0, out)
         return out.information
 
-    def since(self, begin: float, noise: NoiseModel) -> tuple[int, Floats, Matrix]:
-        """Number of poses since `begin` (s), and the gradient (np,) and the information (np, np) of that motion alone.
+    def since(self, begin: float, noise: NoiseModel) -> MotionFactor:
+        """What the motion since `begin` (s) alone tells about rho at the point of the last linearisation.
 
-        What it tells about rho does not include where it begins, whose state is free; poses have another `noise`.
+        The state in which it begins is free; poses have another `noise`.
         """
         chains, graph = self.problem.chains, self._graph
         times = [segment.times for segment in chains.segments]
         c = sum(float(each[-2]) < begin for each in times)  # chains that end before
         if c == len(times):
-            return 0, np.zeros_like(self._point.rho), np.zeros(2 * self._point.rho.shape)
+            return MotionFactor(0, np.zeros_like(self._point.rho), np.zeros(2 * self._point.rho.shape))
         state = int(chains.first[c] + np.searchsorted(times[c], begin))
         step = state - c  # each chain before has one state more than steps
         pose = int(chains.seen[step])
@@ -123,7 +133,7 @@ class FastGraph:
         )  # fmt: skip
         out = allocate(len(newest.h), int(newest.first[-1]), 1, self.problem.dynamics.nx, len(self._point.rho))
         eliminate(newest, 0.0, out)
-        return len(residuals), out.gradient[0], out.information[0]
+        return MotionFactor(len(residuals), out.gradient[0], out.information[0])
 
     def moved(self, change: Floats) -> Point:
         """The point that minimises the linearised problem among those whose rho changes by `change`.

@@ -17,8 +17,8 @@ from ompl_ext.kernels.kernel_types import LANES, PROBLEM
 PROPAGATE, BRAKE, CYCLE_END = 0, 1, 2  # of the vehicle
 FINISH, CUT, CHECK, FIRST_SAFE = 3, 4, 5, 6  # of the layout of its state
 INTERVALS = 7  # of the vehicle, for the local optimisation; 0 before that is loaded
-STOP = 8  # of the vehicle
-FUNCTIONS = 9
+STOP, ADVANCE = 8, 9  # of the vehicle
+FUNCTIONS = 10
 
 _FLOATS, _MATRIX = types.float64[::1], types.float64[:, ::1]
 SIGNATURES: dict[int, Any] = {
@@ -31,6 +31,7 @@ SIGNATURES: dict[int, Any] = {
     FIRST_SAFE: types.int64(types.int64, PROBLEM, LANES),
     INTERVALS: types.void(types.int64, types.int64, types.int64, types.float64, PROBLEM, _MATRIX, _MATRIX, _FLOATS),
     STOP: types.void(_FLOATS, _FLOATS, types.int64, _FLOATS),
+    ADVANCE: types.void(_FLOATS, _FLOATS, _FLOATS, types.float64, _FLOATS),
 }
 call_propagate = caller(SIGNATURES[PROPAGATE])
 call_brake = caller(SIGNATURES[BRAKE])
@@ -41,3 +42,4 @@ call_check = caller(SIGNATURES[CHECK])
 call_first_safe = caller(SIGNATURES[FIRST_SAFE])
 call_intervals = caller(SIGNATURES[INTERVALS])
 call_stop = caller(SIGNATURES[STOP])
+call_advance = caller(SIGNATURES[ADVANCE])

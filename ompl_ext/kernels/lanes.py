@@ -180,11 +180,22 @@ def stop_control(state: Floats, parameters: Floats, number: int, control: Floats
         control[k] = u[k]
 
 
-def _advance(state: Floats, control: Floats, parameters: Floats, h: float, result: Floats) -> None:
+@inlined
+def step_state(state: Floats, control: Floats, parameters: Floats, h: float, result: Floats) -> None:
+    """Write the state after one step of `h` s."""
     p = load_parameters(parameters)
     y, _, _ = rk4_step(first_state(state), actuation(first_control(control), p), p, h)
     for k in range(NX):
         result[k] = y[k]
+
+
+def advance_state(state: Floats, control: Floats, parameters: Floats, h: float, result: Floats) -> None:
+    """Write the state after one step of `h` s, for kernels; numba caches it apart from what Python calls."""
+    step_state(state, control, parameters, h, result)
+
+
+def _advance(state: Floats, control: Floats, parameters: Floats, h: float, result: Floats) -> None:
+    step_state(state, control, parameters, h, result)
 
 
 def _roll_out(states: Floats, controls: Matrix, parameters: Floats, h: Floats) -> None:
@@ -203,6 +214,7 @@ FUNCTIONS = {
     functions.BRAKE: brake,
     functions.CYCLE_END: state_at_cycle_end,
     functions.STOP: stop_control,
+    functions.ADVANCE: advance_state,
 }
 ADDRESSES = {number: callee(each, FOLDER, functions.SIGNATURES[number]) for number, each in FUNCTIONS.items()}
 advance = compiled(_advance, folder=FOLDER, signature=types.void(_FLOATS, _FLOATS, _FLOATS, types.float64, _FLOATS))

@@ -14,7 +14,7 @@ from support.driving import RATE
 
 from kraft.driving.estimation import make_estimator
 from kraft.driving.estimation.adaptive import MOVED_AFTER, SIGNIFICANT, AdaptiveEstimator, online_parameters
-from kraft.driving.estimation.pose_filter import ExcessSpeedModel
+from kraft.driving.estimation.pose_filter import ProcessModel
 from kraft.driving.messages import Estimate, Observation
 from kraft.driving.method import Adaptive
 from kraft.driving.vehicle_model import CarModel
@@ -53,7 +53,7 @@ def squared_errors(settings: Adaptive, share: float, seed: int) -> list[float]:
     `share` is the correlated share of the variance of the poses.
     """
     rng, model, subject = np.random.default_rng(seed), CarModel(vehicle()), estimator(settings)
-    motion, ticks = ExcessSpeedModel(model), round(10.0 * RATE)
+    motion, ticks = ProcessModel(model), round(10.0 * RATE)
     start = settings.start_position_noise, settings.start_position_noise, math.radians(settings.start_heading_noise_deg)
     spread = np.array([settings.drift, settings.drift, math.radians(settings.heading_drift_deg), 0.0, 0.0])
     spread[4] = settings.speed_drift

@@ -23,10 +23,10 @@ from kraft.driving.estimation.pose_filter import (
     FLOOR,
     OFFSET,
     LevelCamera,
-    PoseErrorModel,
     PoseFilter,
     Posterior,
     Prior,
+    ProcessModel,
 )
 from kraft.driving.estimation.sliding_window import (
     DRIVE_MAX,
@@ -63,8 +63,6 @@ SLOW: Final = 0.2
 """Speed or turning rate below which identified parameters are used at once, m/s or rad/s."""
 HOLDS: Final = 0.8
 """Largest force in use, as a share of what the drive can hold at rest."""
-SPREAD_STEP: Final = 1e-3
-"""Step of the derivatives with respect to parameters, in standard deviations."""
 MOVED_AFTER: Final = 1.0
 """Time with larger errors of poses than the noise explains after which the vehicle may have been moved instead, s."""
 
@@ -330,14 +328,19 @@ class CorrelatedFilter(PoseFilter):
         self, settings: Adaptive, model: VehicleModel, start_state: Floats, camera: LevelCamera | None = None
     ) -> None:
         stated = {name: getattr(settings, name) for name in Filter.model_fields if hasattr(settings, name)}
-        self._errors = PoseErrorModel(model, settings.offset_time)
-        super().__init__(Filter(**{**stated, "kind": "filter"}), model, start_state, self._errors)
-        self._components = np.arange(self._errors.size - ERRORS, self._errors.size)
-        self._by_state = np.zeros((3, self._errors.size))
+        times = np.full(ERRORS, settings.offset_time)
+        times[FLOOR] = math.inf
+        process = ProcessModel(model, times)
+        super().__init__(Filter(**{**stated, "kind": "filter"}), model, start_state, process)
+        self._components = np.arange(process.size - ERRORS, process.size)
+        process.same[model.theta], process.same[model.velocities] = SAME_TURN, SAME_ACCELERATION
+        process.varying[:] = self._part(CORRELATED)[[0, -1]] + (0, 1)
+        self._by_state = np.zeros((3, process.size))
         for measured in (self._pose, self._part(CORRELATED), self._part(OFFSET)):
             self._by_state[range(3), measured] = 1.0
         """derivative of a pose by the state, on a level floor"""
-        self._spread = stated_spread(model.vehicle) if settings.identify else np.zeros((0, len(model.parameters)))
+        if settings.identify:
+            process.spread = stated_spread(model.vehicle)
         offset = settings.position_offset, settings.position_offset, math.radians(settings.heading_offset_deg)
         self._set_variance(OFFSET, np.square(offset), settings.offset_time)
         self._camera = camera
@@ -370,7 +373,7 @@ class CorrelatedFilter(PoseFilter):
     def set_noise(self, noise: NoiseEstimate) -> None:
         """Set the noise of poses from now on."""
         self._noise = np.diag(noise.variance * (1.0 - noise.share))
-        self._errors.times[CORRELATED], self._correlated_variance = noise.time, noise.variance * noise.share
+        self._process_model.times[CORRELATED], self._correlated_variance = noise.time, noise.variance * noise.share
         self._set_variance(CORRELATED, self._correlated_variance, noise.time)
 
     def _set_variance(self, part: slice, variance: Floats, time: float) -> None:
@@ -398,31 +401,12 @@ class CorrelatedFilter(PoseFilter):
     def acceleration_deviation(self) -> float:
         """Standard deviation of the acceleration at full drive by the uncertainty of the parameters, m/s^2."""
         forward = self._model.drive_control(1.0, 0.0)
-        return math.sqrt(float(self._rate_variance(self.posterior.mean, forward)[self._model.v]))
+        return math.sqrt(float(self._process_model.rate_variance(self.posterior.mean, forward)[self._model.v]))
 
     def set_parameter_spread(self, covariance: Matrix) -> None:
         """Set the covariance (np, np) of the parameters, by which the vehicle moves otherwise than predicted."""
         values, axes = np.linalg.eigh(covariance)
-        self._spread = (axes * np.sqrt(np.maximum(values, 0.0))).T
-
-    def _added_variance(self, mean: Floats, control: Floats, duration: float) -> Floats:
-        """Variance (size,) that the model adds; correlated errors vary as much as they are large."""
-        added = super()._added_variance(mean, control, duration)
-        variance, model = self._rate_variance(mean, control), self._model
-        added[model.theta] += variance[model.theta] * SAME_TURN * duration
-        added[model.velocities] += variance[model.velocities] * SAME_ACCELERATION * duration
-        correlated = self._part(CORRELATED)
-        added[correlated] += 2.0 * np.square(mean[correlated]) / self._errors.times[CORRELATED] * duration
-        return added
-
-    def _rate_variance(self, mean: Floats, control: Floats) -> Floats:
-        """Variance (nx,) of the derivative of the vehicle's state by the uncertainty of the parameters."""
-        parameters = self._model.parameters
-        tried = np.empty((1 + len(self._spread), len(parameters)))
-        tried[0], tried[1:] = parameters, parameters + SPREAD_STEP * self._spread
-        rates = self._model.rates(mean[: len(self._model.vehicle.state)], control, tried)
-        variance: Floats = np.square((rates[1:] - rates[0]) / SPREAD_STEP).sum(axis=0)
-        return variance
+        self._process_model.spread = np.ascontiguousarray((axes * np.sqrt(np.maximum(values, 0.0))).T)
 
     def _expected(self, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix, Matrix]:
         jacobian, pose = self._by_state.copy(), mean[self._pose]

@@ -12,28 +12,25 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
 from kraft.driving.estimation.dead_reckoning import DeadReckoning
 from kraft.driving.messages import Estimate, Observation, PoseBelief
 from kraft.driving.method import Filter
-from kraft.driving.vehicle_model import MAX_STEP, VehicleModel
+from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.kernels.moments import Motion, moments
+from ompl_ext.kernels.specialise import kernels
 
 MAX_HISTORY: Final = 32
 """Number of observations that are kept to be processed again after one that arrives out of order."""
 OUTLIERS_BEFORE_RESET: Final = 5
 """Number of consistent outliers in a row after which the filter resets: then the vehicle was moved."""
-
-EXCESS_TIME_CONSTANT: Final = 2.0
-"""Time constant with which an excess of speed decays without observations, s."""
-DIFFERENCE_STEP: Final = 1e-5
-"""Step of the numeric derivatives, SI."""
 
 
 @dataclass(frozen=True)
@@ -65,16 +62,68 @@ class Prior:
     pose_covariance: Matrix
 
 
-class ProcessModel(Protocol):
-    """Motion of the filter's state (size,): first the vehicle's state, then the excess of its speed."""
+class ProcessModel:
+    """Motion of the filter's state (size,): the vehicle's state, the excess of its speed, and errors that decay.
 
-    size: int
+    In the model the speed follows the commands, so a correction of the speed itself would decay at once.  The excess is
+    therefore a state component of its own: the vehicle moves as in the model and `excess` m/s faster along its curve.
+    """
+
+    def __init__(self, model: VehicleModel, times: Floats | None = None) -> None:
+        """`times` (n,) are the time constants of the errors, s; there are none by default."""
+        nx = len(model.vehicle.state)
+        self._model, self.times = model, np.zeros(0) if times is None else times
+        self.size = nx + 1 + len(self.times)
+        self.variance_rate = np.zeros(self.size)
+        """(size,) variance that the state gains in a second"""
+        self.same = np.zeros(nx)
+        """(nx,) time for which what uncertain parameters add to the derivative of a component counts as the same, s"""
+        self.varying = np.zeros(2, np.int64)
+        """errors from one index to another vary as much as they are large, too"""
+        self.spread = np.zeros((0, len(model.parameters)))
+        """(m, np) standard deviations of the parameters along the axes of their covariance"""
+        self._functions = kernels(model.vehicle).functions
+        self._where = np.array([model.x, model.y, model.theta, model.v, nx])
+        self._block = np.zeros((8 + 2 * self.size, max(self.size, len(model.parameters))))
+        self._moments = moments()
 
     def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
-        """State after holding a control (nu,) for `duration` s."""
+        """State (size,) after holding a control (nu,) for `duration` s."""
+        after = np.array(state, dtype=np.float64)
+        self._moments.advance(after, _contiguous(control), duration, self._motion, self._block)
+        return after
 
-    def linearised(self, state: Floats, control: Floats, duration: float) -> tuple[Floats, Matrix]:
-        """State after `duration` s and its Jacobian (size, size) with respect to the state before."""
+    def predicted(
+        self, mean: Floats, covariance: Matrix, commands: Iterable[tuple[Floats, float]]
+    ) -> tuple[Floats, Matrix]:
+        """Mean (size,) and covariance (size, size) after controls (nu,), each with its duration (s)."""
+        mean, covariance = mean.copy(), covariance.copy()
+        for control, duration in commands:
+            self._moments.predict(mean, covariance, _contiguous(control), duration, self._motion, self._block)
+        return mean, covariance
+
+    def rate_variance(self, state: Floats, control: Floats) -> Floats:
+        """Variance (nx,) of the derivative of the vehicle's state by the uncertainty of the parameters."""
+        variance = np.empty(len(self.same))
+        self._moments.rate_variance(state, _contiguous(control), self._motion, self._block, variance)
+        return variance
+
+    @property
+    def _motion(self) -> Motion:
+        return Motion(
+            functions=self._functions,
+            parameters=self._model.parameters,
+            spread=self.spread,
+            where=self._where,
+            rate=self.variance_rate,
+            same=self.same,
+            times=self.times,
+            varying=self.varying,
+        )
+
+
+def _contiguous(control: Floats) -> Floats:
+    return np.ascontiguousarray(control, dtype=np.float64)
 
 
 class PoseFilter:
@@ -90,12 +139,12 @@ class PoseFilter:
         self, settings: Filter, model: VehicleModel, start_state: Floats, process_model: ProcessModel | None = None
     ) -> None:
         self._model = model
-        self._process_model = process_model or ExcessSpeedModel(model)
+        self._process_model = process_model or ProcessModel(model)
         heading, drift = math.radians(settings.heading_noise_deg), math.radians(settings.heading_drift_deg)
         self._pose = np.array([model.x, model.y, model.theta])
         self._pose_block = np.ix_(self._pose, self._pose)
         self._noise = np.diag([settings.position_noise**2, settings.position_noise**2, heading**2])
-        self._variance_rate = np.zeros(self._process_model.size)  # variance that the model adds per second
+        self._variance_rate = self._process_model.variance_rate
         self._variance_rate[: len(start_state)] = model.velocity_drift(settings.speed_drift)
         self._variance_rate[self._pose] = settings.drift**2, settings.drift**2, drift**2
         self._variance_rate[len(start_state)] = settings.speed_drift**2
@@ -159,16 +208,8 @@ class PoseFilter:
         """No bound rests on this estimator: it states no uncertainty."""
 
     def _predict(self, posterior: Posterior, time: float) -> tuple[Floats, Matrix]:
-        mean, covariance = posterior.mean, posterior.covariance
-        for control, duration in self._reckoning.commands.between(posterior.time, time):
-            added = self._added_variance(mean, control, duration)
-            mean, slope = self._process_model.linearised(mean, control, duration)
-            covariance = slope @ covariance @ slope.T + np.diag(added)
-        return mean, covariance
-
-    def _added_variance(self, mean: Floats, control: Floats, duration: float) -> Floats:
-        """Variance (size,) that the model adds while a control is held for `duration` s from a state on."""
-        return self._variance_rate * duration
+        commands = self._reckoning.commands.between(posterior.time, time)
+        return self._process_model.predicted(posterior.mean, posterior.covariance, commands)
 
     def _update(self, posterior: Posterior, pose: Observation) -> Posterior:
         """Posterior after a pose: the Kalman update, or that after an outlier."""
@@ -215,60 +256,6 @@ class PoseFilter:
         covariance[self._pose, :] = covariance[:, self._pose] = 0.0
         covariance[self._pose_block] = self._noise
         return Posterior(pose.time, mean, covariance, pose)
-
-
-class ExcessSpeedModel:
-    """Process model of the state (nx + 1,): the vehicle's state and the excess of its speed (m/s).
-
-    In the model the speed follows the commands, so a correction of the speed itself would decay at once.  The excess is
-    therefore a state component of its own: the vehicle moves as in the model and `excess` m/s faster along its curve.
-    """
-
-    def __init__(self, model: VehicleModel) -> None:
-        self._model = model
-        self.size = len(model.vehicle.state) + 1
-        self._varied = np.array([k for k in range(self.size) if k not in (model.x, model.y)])
-        """components on which the motion depends: the position is none of them"""
-        self._rows, self._identity = np.arange(1, 1 + len(self._varied)), np.eye(self.size)
-
-    def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
-        """State (nx + 1,) after holding a control (nu,) for `duration` s."""
-        after: Floats = self._advanced(state[None, :], control, duration)[0]
-        return after
-
-    def linearised(self, state: Floats, control: Floats, duration: float) -> tuple[Floats, Matrix]:
-        """State (nx + 1,) after `duration` s and its Jacobian (nx + 1, nx + 1) with respect to the state before."""
-        varied = self._varied
-        states = np.empty((1 + len(varied), self.size))
-        states[:] = state
-        states[self._rows, varied] += DIFFERENCE_STEP
-        after = self._advanced(states, control, duration)
-        jacobian = self._identity.copy()
-        jacobian[:, varied] = ((after[1:] - after[0]) / DIFFERENCE_STEP).T
-        return after[0], jacobian
-
-    def _advanced(self, states: Matrix, control: Floats, duration: float) -> Matrix:
-        """States (n, nx + 1) after holding a control (nu,) for `duration` s."""
-        steps = max(1, math.ceil(duration / MAX_STEP - 1e-9))
-        for _ in range(steps if duration > 0.0 else 0):
-            states = self._stepped(states, control, duration / steps)
-        return states
-
-    def _stepped(self, states: Matrix, control: Floats, duration: float) -> Matrix:
-        model = self._model
-        rows = model.after(states[:, :-1], control, duration).tolist()  # a few numbers each: faster without arrays
-        decay = math.exp(-duration / EXCESS_TIME_CONSTANT)
-        courses = model.courses(states[:, :-1], control)
-        for row, before, (curvature, slip) in zip(rows, states.tolist(), courses, strict=True):
-            excess = before[-1]
-            distance = excess * EXCESS_TIME_CONSTANT * (1.0 - decay)
-            turn = curvature * distance
-            direction = 0.5 * (before[model.theta] + row[model.theta]) + 0.5 * turn + slip
-            row[model.x] += distance * math.cos(direction)
-            row[model.y] += distance * math.sin(direction)
-            row[model.theta] += turn
-            row.append(decay * excess)
-        return np.array(rows)
 
 
 def _chi_limit(confidence: float) -> float:
@@ -355,29 +342,3 @@ def _mapped(poses: Matrix, place: Callable[[Matrix], Matrix]) -> Matrix:
 CORRELATED, OFFSET, FLOOR = slice(0, 3), slice(3, 6), slice(6, 6 + FLOOR_SIZE)
 """Parts of the pose error, and the floor that it depends on, within the last components of the filter's state."""
 ERRORS: Final = FLOOR.stop
-
-
-class PoseErrorModel:
-    """Process model of the state (nx + 9,): as `ExcessSpeedModel`, two parts of the pose error that decay, a floor."""
-
-    def __init__(self, model: VehicleModel, offset_time: float) -> None:
-        self._motion = ExcessSpeedModel(model)
-        self.times = np.full(ERRORS, offset_time)
-        self.times[FLOOR] = math.inf
-        """time constants of the components of the pose error and the floor, s"""
-        self.size = self._motion.size + len(self.times)
-        self._last = np.arange(self._motion.size, self.size)
-
-    def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
-        """State (nx + 9,) after holding a control (nu,) for `duration` s."""
-        kept = np.exp(-duration / self.times)
-        return np.concatenate([self._motion.advance(state[:-ERRORS], control, duration), kept * state[-ERRORS:]])
-
-    def linearised(self, state: Floats, control: Floats, duration: float) -> tuple[Floats, Matrix]:
-        """State (nx + 9,) after `duration` s and its Jacobian (nx + 9, nx + 9) with respect to the state before."""
-        after, jacobian = self._motion.linearised(state[:-ERRORS], control, duration)
-        kept = np.exp(-duration / self.times)
-        full = np.zeros((self.size, self.size))
-        full[:-ERRORS, :-ERRORS] = jacobian
-        full[self._last, self._last] = kept
-        return np.concatenate([after, kept * state[-ERRORS:]]), full

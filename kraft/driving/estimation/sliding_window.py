@@ -291,19 +291,21 @@ class SlidingWindow:
         since, total = (sum(max(0.0, last - max(first, t)) for first, last in moving) for t in (begin, -math.inf))
         if not RECENT - ROUNDING <= since <= min(self._length, total) - EARLIER:
             return None
-        (poses, *brief), (_, *long) = (
-            graph.since(begin - MARGIN, self._noise_model(each)) for each in (noise(since), noise(math.inf))
-        )
-        if poses < POSES_MIN:
+        brief, long = (graph.since(begin - MARGIN, self._noise_model(noise(each))) for each in (since, math.inf))
+        if brief.poses < POSES_MIN:
             return None
         free, square = self.parameters.free, np.ix_(*2 * (self.parameters.free,))
         with_brief, shift = np.zeros_like(covariance), np.zeros_like(self.rho)
-        with_brief[square] = np.linalg.inv(np.linalg.inv(covariance[square]) + (brief[1] - long[1])[square])
-        shift[free] = -with_brief[square] @ (brief[0] - long[0])[free]
-        moved = brief[0] + brief[1] @ shift, brief[1]
+        with_brief[square] = np.linalg.inv(
+            np.linalg.inv(covariance[square]) + (brief.information - long.information)[square]
+        )
+        shift[free] = -with_brief[square] @ (brief.gradient - long.gradient)[free]
+        moved = brief.gradient + brief.information @ shift, brief.information
         found = [
             self._change_of(begin, self._may_change & self._turning, *moved, self.rho + shift, with_brief),
-            self._change_of(begin, self._may_change & ~self._turning, *long, self.rho, covariance),
+            self._change_of(
+                begin, self._may_change & ~self._turning, long.gradient, long.information, self.rho, covariance
+            ),
         ]
         return max(filter(None, found), key=lambda change: change.significance, default=None)
 
