@@ -154,10 +154,3 @@ def test_a_control_that_leads_to_velocities_is_found_by_the_model() -> None:
     wanted = np.array([0.0, 0.0, 0.0, 0.25, 0.3])
     control = of.control_to(state, np.zeros(2), wanted, STEP)
     assert of.advance(state, control, STEP)[of.velocities] == pytest.approx(wanted[of.velocities], abs=0.01)
-
-
-def test_the_course_of_a_unicycle_is_straight_ahead_and_that_of_a_car_its_curve() -> None:
-    of, car = model("unicycle2"), model("mushr-drive")
-    assert of.course(np.array([0.0, 0.0, 0.7, 0.3, 1.0]), np.zeros(2)) == pytest.approx((0.0, 0.0), abs=1e-3)
-    state, control = np.array([1.0, 2.0, 0.7, 0.4]), np.array([0.5, 0.2])
-    assert VehicleModel.course(car, state, control) == pytest.approx(car.course(state, control), rel=0.02)

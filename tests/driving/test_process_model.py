@@ -74,6 +74,18 @@ def test_an_excess_of_the_speed_moves_a_car_further_along_its_curve() -> None:
     assert faster[-3:] == pytest.approx(state[-3:] * np.exp(-DURATION / TIMES))
 
 
+def test_an_excess_of_the_speed_of_a_unicycle_moves_it_straight_ahead() -> None:
+    """However fast it turns: its turning rate is another component of its state."""
+    process, state, control = process_of("unicycle2")
+    plain = state.copy()
+    plain[-4] = 0.0
+    faster, slower = (process.advance(each, control, DURATION) for each in (state, plain))
+    moved = faster[:3] - slower[:3]
+    heading = 0.5 * (state[2] + slower[2])
+    assert math.remainder(math.atan2(moved[1], moved[0]) - heading, math.tau) == pytest.approx(0.0, abs=0.02)
+    assert moved[2] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_uncertain_parameters_make_the_speed_uncertain() -> None:
     """By the square of the derivative of the acceleration, for as long as it counts as the same."""
     process, state, control = process_of("mushr-force")
