@@ -106,7 +106,7 @@ def test_costs_are_those_of_the_model_in_the_map(hold: int) -> None:
     nominal = np.column_stack([np.full(30, 0.75), np.full(30, -0.02)])
     drawn = np.repeat(random.normal(0.0, 0.3, (1, 2, 50)), math.ceil(30 / hold), axis=0).astype(np.float32)
     noise = np.empty((30, 2, 50), np.float32)
-    found = Rollouts(solvers().checking, model(), settings, precision).costs(
+    found = Rollouts(solvers().checking, model(), settings, precision, 30).costs(
         Estimate(0.0, MOVING, 0.0), way(MOVING), nominal, drawn, noise, hold, settings.gamma
     )
     given = np.repeat(drawn.astype(float), hold, axis=0)[:30]
@@ -120,7 +120,7 @@ def test_the_cost_of_a_rollout_does_not_depend_on_those_beside_it() -> None:
     settings, precision = Mppi(kind="mppi", steps=30), np.array([4.0, 9.0])
     nominal = np.column_stack([np.full(30, 0.75), np.full(30, -0.02)])
     drawn = np.repeat(np.random.default_rng(5).normal(0.0, 0.3, (1, 2, 70)), 30, axis=0).astype(np.float32)
-    rollouts = Rollouts(solvers().checking, model(), settings, precision)
+    rollouts = Rollouts(solvers().checking, model(), settings, precision, 30)
 
     def costs(chosen: list[int]) -> tuple[Floats, Floats32Cube]:
         noise = np.empty((30, 2, len(chosen)), np.float32)
