@@ -8,7 +8,7 @@ for the poses where that comes near enough.
 from __future__ import annotations
 
 from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.jit import part
+from ompl_ext.jit import inlined, part
 from ompl_ext.kernels.fine_field import fine_distance
 from ompl_ext.kernels.kernel_types import FINE_INVERSE, GRID_INVERSE, GRID_X, GRID_Y, LANE_WIDTH, Problem
 from ompl_ext.trigonometry import cos, sin
@@ -22,7 +22,7 @@ AT_POINT_X, AT_POINT_Y, AT_ROW, AT_COLUMN, AT_VALUE = (k * POSES for k in range(
 ROW = 14 * POSES  # length of an array of poses
 
 
-@part
+@inlined
 def read_field(count: int, problem: Problem, poses: Floats) -> None:
     """Read the clearance field at a point of each pose.
 
@@ -37,7 +37,7 @@ def read_field(count: int, problem: Problem, poses: Floats) -> None:
         poses[AT_VALUE + i] = field[int(poses[AT_ROW + i]), int(poses[AT_COLUMN + i])]
 
 
-@part
+@inlined
 def distances_of_disc(count: int, disc: Floats, problem: Problem, poses: Floats) -> None:
     """Distance from a disc of the footprint to the nearest obstacle (m), for every pose, in the row of values."""
     ahead, aside, radius = disc[0], disc[1], disc[2]
@@ -55,7 +55,7 @@ def distances_of_disc(count: int, disc: Floats, problem: Problem, poses: Floats)
         poses[AT_VALUE + i] -= radius
 
 
-@part
+@inlined
 def lower_by_disc(count: int, disc: Floats, problem: Problem, poses: Floats) -> None:
     """Lower the clearances to the distances of a disc, where those are less."""
     distances_of_disc(count, disc, problem, poses)
@@ -63,7 +63,7 @@ def lower_by_disc(count: int, disc: Floats, problem: Problem, poses: Floats) -> 
         poses[AT_CLEARANCE + i] = min(poses[AT_CLEARANCE + i], poses[AT_VALUE + i])
 
 
-@part
+@inlined
 def lower_by_group(count: int, k: int, problem: Problem, poses: Floats, some: Floats) -> None:
     """Lower the clearances by the discs that follow disc k and are within it; `some` is working memory as `poses`."""
     discs, chosen = problem.discs, 0
