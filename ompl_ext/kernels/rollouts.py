@@ -218,7 +218,8 @@ def add_near_costs(
 ) -> None:
     """Add the costs of poses that are near to obstacles; a rollout ends in a collision or beyond the limit."""
     find_clearances(count, problem, memory.poses)
-    block, poses, steps, near = memory.block, memory.poses[0], len(memory.path), weight[ROLLOUT_NEAR] * weight[ROLLOUT_STEP]
+    block, poses, steps = memory.block, memory.poses[0], len(memory.path)
+    near = weight[ROLLOUT_NEAR] * weight[ROLLOUT_STEP]
     for j in range(count):
         who = int(poses[AT_WHO + j])
         t, i = who // WIDTH, who % WIDTH

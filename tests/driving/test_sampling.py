@@ -14,7 +14,7 @@ from support.replanner import drive, mushr, start, turns
 
 from kraft.driving.clearance import Solvers
 from kraft.driving.contingencies import contingency_reference, plan_reference
-from kraft.driving.control import make_controller
+from kraft.driving.control import make_controller, sampling
 from kraft.driving.control.sampling import DwaController, MppiController, Rollouts, Updates, updated
 from kraft.driving.control_settings import Dwa, Kinodynamic, Mppi, Nmpc
 from kraft.driving.geodesic import geodesic_plan
@@ -133,6 +133,35 @@ def test_the_cost_of_a_rollout_does_not_depend_on_those_beside_it() -> None:
         alone, left = costs([k])
         assert alone[0] == together[k]
         assert np.array_equal(left[:, :, 0], noise[:, :, k])
+
+
+@pytest.mark.parametrize("cutoff", [0.0, 3.0])
+def test_costs_up_to_a_cutoff_above_the_least_one_are_exact_and_others_are_more(cutoff: float) -> None:
+    settings, precision = Mppi(kind="mppi", steps=30), np.array([4.0, 9.0])
+    nominal = np.column_stack([np.full(30, 0.75), np.full(30, -0.02)])
+    drawn = np.repeat(np.random.default_rng(5).normal(0.0, 0.3, (1, 2, 300)), 30, axis=0).astype(np.float32)
+    noise = np.empty((30, 2, 300), np.float32)
+    exact, found = (
+        Rollouts(solvers().checking, model(), settings, precision, 30, most).costs(
+            Estimate(0.0, MOVING, 0.0), way(MOVING), nominal, drawn, noise, 1, settings.gamma
+        )
+        for most in (math.inf, cutoff)
+    )
+    known = np.isfinite(found)
+    assert np.array_equal(found[known], exact[known])
+    assert known[exact <= exact.min() + cutoff].all()
+    assert np.count_nonzero(~known) > 100
+
+
+@pytest.mark.parametrize("objective", ["goal", "plan"])
+def test_rollouts_that_do_not_count_hardly_change_the_controls(objective: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings, path = Mppi(kind="mppi", objective=objective), way(MOVING)  # type: ignore[arg-type]
+    chosen = []
+    for negligible in (sampling.NEGLIGIBLE, math.inf):
+        monkeypatch.setattr(sampling, "NEGLIGIBLE", negligible)
+        controller = mppi(settings)
+        chosen.append([controller.command(Estimate(k / 30, MOVING, 0.0), path) for k in range(10)])
+    assert np.abs(np.array(chosen[0]) - np.array(chosen[1])).max() < 1e-3
 
 
 def test_a_copy_sends_the_same_commands_and_leaves_the_controller_as_it_is() -> None:
