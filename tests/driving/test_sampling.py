@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -133,6 +134,20 @@ def test_the_cost_of_a_rollout_does_not_depend_on_those_beside_it() -> None:
         alone, left = costs([k])
         assert alone[0] == together[k]
         assert np.array_equal(left[:, :, 0], noise[:, :, k])
+
+
+def test_steps_of_rollouts_are_within_half_a_millimetre_of_the_exact_motion() -> None:
+    random, settings = np.random.default_rng(3), Mppi(kind="mppi", objective="plan", near=0.0, position=0.0005)
+    for _ in range(20):
+        held = random.uniform([0.1, -0.38], [0.6, 0.38], (7, 2))
+        controls, states = np.repeat(held, 8, axis=0), [start()]
+        for k in range(560):
+            states.append(model().advance(states[-1], controls[k // 10], settings.step / 10))
+        exact = replace(way(start()), times=np.arange(57) * settings.step, states=np.array(states[::10]))
+        rollouts = Rollouts(solvers().checking, model(), settings, np.ones(2), 56)
+        still, noise = np.zeros((7, 2, 1), np.float32), np.empty((56, 2, 1), np.float32)
+        (cost,) = rollouts.costs(Estimate(0.0, start(), 0.0), exact, controls, still, noise, 8)
+        assert cost < 56 * settings.step
 
 
 @pytest.mark.parametrize("cutoff", [0.0, 3.0])
