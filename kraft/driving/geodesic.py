@@ -10,7 +10,7 @@ import numpy as np
 from kraft.planning.workspace import pose_of
 from ompl_ext.arrays import Floats, Matrix, Matrix32
 from ompl_ext.kernels import kernel_types as at
-from ompl_ext.kernels.costtogo import UNREACHABLE
+from ompl_ext.kernels.costtogo import descend, smooth
 from ompl_ext.kernels.kernel_types import Problem
 from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver
@@ -56,28 +56,15 @@ def descended(dirt: DirtSolver, x: float, y: float) -> Matrix | None:
     scalar = dirt.problem.scalar
     stride, angles = STRIDE / float(scalar[at.GRID_INVERSE]), np.arange(DIRECTIONS) * math.tau / DIRECTIONS
     around = stride * np.column_stack([np.cos(angles), np.sin(angles)])
-    goal, radius = scalar[[at.GOAL_X, at.GOAL_Y]], float(scalar[at.GOAL_RADIUS])
-    point, points = np.array([x, y]), [np.array([x, y])]
-    left = _seconds(dirt, point[None])[0]
-    if left >= UNREACHABLE:
+    points = np.empty((dirt.problem.togo.size, 2))  # more than any path has
+    points[0] = x, y
+    count = descend(dirt.problem, around, float(scalar[at.GOAL_RADIUS]) + stride, points)
+    if count == 0:
         return None
-    while math.dist(point, goal) > radius + stride:
-        candidates = point + around
-        seconds = _seconds(dirt, candidates)
-        best = int(seconds.argmin())
-        if seconds[best] >= left:
-            break  # within a cell of the goal region as the cost-to-go knows it
-        point, left = candidates[best], float(seconds[best])
-        points.append(point)
-    points.append(np.array(goal))
-    return _smoothed(np.array(points))
-
-
-def _smoothed(points: Matrix) -> Matrix:
-    """Points with each inner one the mean of its neighbours, both ends where they are."""
-    reach = SMOOTHED // 2
-    rows = [np.minimum(reach, np.minimum(k, len(points) - 1 - k)) for k in range(len(points))]
-    return np.array([points[k - r : k + r + 1].mean(axis=0) for k, r in enumerate(rows)])
+    path = np.vstack([points[:count], scalar[[at.GOAL_X, at.GOAL_Y]]])
+    result = np.empty_like(path)
+    smooth(path, SMOOTHED // 2, result)
+    return result
 
 
 def interpolated(problem: Problem, grid: Matrix32, x: Floats, y: Floats) -> Floats:
@@ -91,8 +78,3 @@ def interpolated(problem: Problem, grid: Matrix32, x: Floats, y: Floats) -> Floa
     high = grid[row + 1, column] * (1.0 - u) + grid[row + 1, column + 1] * u
     found: Floats = low * (1.0 - v) + high * v
     return found
-
-
-def _seconds(dirt: DirtSolver, points: Matrix) -> Floats:
-    """Cost-to-go (n,) at points (n, 2) (s)."""
-    return interpolated(dirt.problem, dirt.problem.togo, points[:, 0], points[:, 1])

@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Protocol
 
+import numpy as np
+
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.obstacles import Polygon
 from ompl_ext.plan import TreeView
@@ -149,6 +151,16 @@ class Reference:
             return self.rest.copy()
         held: Floats = self.controls[self._interval(time)[0]]
         return held.copy()
+
+    def controls_at(self, times: Floats) -> Matrix:
+        """Controls (n, nu) that are held at `times` (n,), as `control_at`."""
+        if len(self.controls) == 0:
+            resting: Matrix = np.tile(self.rest, (len(times), 1))
+            return resting
+        last = max(len(self.times) - 2, 0)
+        held = self.controls[(self.times.searchsorted(times, side="right") - 1).clip(0, last)]
+        found: Matrix = np.where((times >= self.times[-1])[:, None], self.rest, held)
+        return found
 
     def _interval(self, time: float) -> tuple[int, float]:
         """Index of the last sample up to `time`, and the elapsed share of the interval after it."""

@@ -12,10 +12,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ompl_ext.arrays import Bools, Floats, Floats32, Ints32, int64
+from ompl_ext.arrays import Bools, Floats, Floats32, Ints32, Matrix, int64
 from ompl_ext.jit import compiled, inlined
 from ompl_ext.kernels.clearance import ClearanceField
-from ompl_ext.kernels.kernel_types import BRAKING, GOAL_SPEED, GRID_INVERSE, GRID_X, GRID_Y, TOP_SPEED, Problem
+from ompl_ext.kernels.kernel_types import (  # fmt: skip
+    BRAKING,
+    GOAL_SPEED,
+    GOAL_X,
+    GOAL_Y,
+    GRID_INVERSE,
+    GRID_X,
+    GRID_Y,
+    TOP_SPEED,
+    Problem,
+)
 
 CELLS_IN_ORDER = 300_000  # number of cells up to which the march takes exactly the nearest cell next
 BUCKETS, BUCKETS_PER_CELL = 32, 8  # of the march in larger workspaces: distances below 1 / 8 cell apart are one bucket
@@ -283,6 +293,60 @@ def seconds_to_goal(problem: Problem, x: float, y: float) -> float:
     low = togo[row, column] * (1.0 - u) + togo[row, column + 1] * u
     high = togo[row + 1, column] * (1.0 - u) + togo[row + 1, column + 1] * u
     return low * (1.0 - v) + high * v
+
+
+@inlined
+def _seconds_anywhere(problem: Problem, x: float, y: float) -> float:
+    """Cost-to-go at (x, y) as `seconds_to_goal`; beyond the border that of the border."""
+    togo, scalar = problem.togo, problem.scalar
+    u = (x - scalar[GRID_X]) * scalar[GRID_INVERSE] - 0.5
+    v = (y - scalar[GRID_Y]) * scalar[GRID_INVERSE] - 0.5
+    u, v = min(max(u, 0.0), togo.shape[1] - 2.0), min(max(v, 0.0), togo.shape[0] - 2.0)
+    column, row = int(u), int(v)
+    u, v = u - column, v - row
+    low = togo[row, column] * (1.0 - u) + togo[row, column + 1] * u
+    high = togo[row + 1, column] * (1.0 - u) + togo[row + 1, column + 1] * u
+    return low * (1.0 - v) + high * v
+
+
+@compiled
+def descend(problem: Problem, around: Matrix, near: float, points: Matrix) -> int:
+    """Go down the cost-to-go from the first of `points` (n, 2), each time by the best of the steps `around` (k, 2) (m).
+
+    The descent ends `near` the goal's centre (m), or where no step leads down.  Returns the number of points, 0 if the
+    cost-to-go is infinite at the first one.
+    """
+    x, y, count = points[0, 0], points[0, 1], 1
+    left = _seconds_anywhere(problem, x, y)
+    if left >= UNREACHABLE:
+        return 0
+    while count < len(points):
+        dx, dy = x - problem.scalar[GOAL_X], y - problem.scalar[GOAL_Y]
+        if math.sqrt(dx * dx + dy * dy) <= near:
+            break
+        best, least = 0, math.inf
+        for k in range(len(around)):
+            seconds = _seconds_anywhere(problem, x + around[k, 0], y + around[k, 1])
+            if seconds < least:
+                best, least = k, seconds
+        if least >= left:
+            break  # within a cell of the goal region as the cost-to-go knows it
+        x, y, left = x + around[best, 0], y + around[best, 1], least
+        points[count, 0], points[count, 1] = x, y
+        count += 1
+    return count
+
+
+@compiled
+def smooth(points: Matrix, reach: int, smoothed: Matrix) -> None:
+    """Write points (n, 2), each inner one as the mean of up to `reach` neighbours on both sides; the ends stay."""
+    for k in range(len(points)):
+        r = min(reach, k, len(points) - 1 - k)
+        for axis in range(2):
+            total = points[k - r, axis]
+            for i in range(k - r + 1, k + r + 1):
+                total += points[i, axis]
+            smoothed[k, axis] = total / (2 * r + 1)
 
 
 @inlined

@@ -101,10 +101,10 @@ MANOEUVRES = 12  # number of the vehicle's contingency manoeuvres
 OPTIONS = 13
 
 # Indices of the weights of rollouts: step (s), weights of the time to the goal, of a collision, of a clearance below
-# the margin (m), of errors of position, heading and speed, and of controls
+# the margin (m), of errors of position, heading and speed, and of controls; cost beyond the least one that is infinite
 ROLLOUT_STEP, ROLLOUT_GOAL, ROLLOUT_COLLISION, ROLLOUT_NEAR, ROLLOUT_MARGIN = range(5)
-ROLLOUT_POSITION, ROLLOUT_HEADING, ROLLOUT_SPEED, ROLLOUT_GAMMA = range(5, 9)
-ROLLOUT_WEIGHTS = 9
+ROLLOUT_POSITION, ROLLOUT_HEADING, ROLLOUT_SPEED, ROLLOUT_GAMMA, ROLLOUT_CUTOFF = range(5, 10)
+ROLLOUT_WEIGHTS = 10
 
 SST_SELECTION, SST_PRUNING = range(2)  # indices of the radii of SST (m)
 
@@ -192,6 +192,14 @@ SIZE, ITERATIONS, EDGES, BEST, CLOSEST, NEXT, FIRST_ITERATION, UNSAFE, FULL, RET
 COUNTS = 11
 
 
+class RolloutMemory(NamedTuple):
+    """Working memory of a batch of rollouts, see `ompl_ext.kernels.rollouts`."""
+
+    block: Floats
+    path: Matrix  # (steps, 6 * width) what is kept of each step
+    poses: Matrix  # (2, n) poses whose clearances are found at once, see `ompl_ext.kernels.pose_clearances`
+
+
 class Retained(NamedTuple):
     """Edges of an earlier plan or tree for the begin of a query, parents before children."""
 
@@ -219,4 +227,5 @@ def numba_type(tuple_class: type) -> Any:
 PROBLEM = numba_type(Problem)
 LANES = numba_type(Lanes)
 TREE = numba_type(Tree)
+ROLLOUT_MEMORY = numba_type(RolloutMemory)
 RETAINED_EDGES = numba_type(Retained)

@@ -18,7 +18,7 @@ from support.replanner import mushr, start, turns
 from kraft.driving.clearance import Solvers
 from kraft.driving.contingencies import contingency_reference, plan_reference
 from kraft.driving.control import make_controller
-from kraft.driving.control.nmpc import NmpcController, symbolic_derivative
+from kraft.driving.control.nmpc import NmpcController, symbolic_derivative_of
 from kraft.driving.control_settings import Kinodynamic, Nmpc
 from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
@@ -63,7 +63,7 @@ def test_the_expression_of_every_bundled_model_is_its_derivative(vehicle: Vehicl
     x, u, p = (casadi.SX.sym(*of) for of in (
         ("x", len(vehicle.state)), ("u", len(vehicle.controls)), ("p", len(vehicle.parameter_array)),
     ))  # fmt: skip
-    expression = casadi.Function("f", [x, u, p], [symbolic_derivative(vehicle)(x, u, p)])
+    expression = casadi.Function("f", [x, u, p], [symbolic_derivative_of(vehicle)(x, u, p)])
     low, high = vehicle.control_bounds.T
     for _ in range(10):
         state, control = random.normal(size=len(vehicle.state)), random.uniform(low, high)
@@ -97,7 +97,7 @@ BRANCHING = Vehicle(
 def test_a_derivative_that_branches_by_statements_is_refused(tmp_path: Path) -> None:
     (tmp_path / "branching.py").write_text(BRANCHING)
     vehicle = load_vehicle(f"{tmp_path / 'branching.py'}:BRANCHING")
-    (problem,) = raised(lambda: symbolic_derivative(vehicle))
+    (problem,) = raised(lambda: symbolic_derivative_of(vehicle))
     assert problem.code is Code.MISMATCH
 
 

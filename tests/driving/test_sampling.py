@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from support.replanner import drive, mushr, start, turns
 
 from kraft.driving.clearance import Solvers
 from kraft.driving.contingencies import contingency_reference, plan_reference
-from kraft.driving.control import make_controller
+from kraft.driving.control import make_controller, sampling
 from kraft.driving.control.sampling import DwaController, MppiController, Rollouts, Updates, updated
 from kraft.driving.control_settings import Dwa, Kinodynamic, Mppi, Nmpc
 from kraft.driving.geodesic import geodesic_plan
@@ -106,7 +107,7 @@ def test_costs_are_those_of_the_model_in_the_map(hold: int) -> None:
     nominal = np.column_stack([np.full(30, 0.75), np.full(30, -0.02)])
     drawn = np.repeat(random.normal(0.0, 0.3, (1, 2, 50)), math.ceil(30 / hold), axis=0).astype(np.float32)
     noise = np.empty((30, 2, 50), np.float32)
-    found = Rollouts(solvers().checking, model(), settings, precision).costs(
+    found = Rollouts(solvers().checking, model(), settings, precision, 30).costs(
         Estimate(0.0, MOVING, 0.0), way(MOVING), nominal, drawn, noise, hold, settings.gamma
     )
     given = np.repeat(drawn.astype(float), hold, axis=0)[:30]
@@ -120,7 +121,7 @@ def test_the_cost_of_a_rollout_does_not_depend_on_those_beside_it() -> None:
     settings, precision = Mppi(kind="mppi", steps=30), np.array([4.0, 9.0])
     nominal = np.column_stack([np.full(30, 0.75), np.full(30, -0.02)])
     drawn = np.repeat(np.random.default_rng(5).normal(0.0, 0.3, (1, 2, 70)), 30, axis=0).astype(np.float32)
-    rollouts = Rollouts(solvers().checking, model(), settings, precision)
+    rollouts = Rollouts(solvers().checking, model(), settings, precision, 30)
 
     def costs(chosen: list[int]) -> tuple[Floats, Floats32Cube]:
         noise = np.empty((30, 2, len(chosen)), np.float32)
@@ -133,6 +134,49 @@ def test_the_cost_of_a_rollout_does_not_depend_on_those_beside_it() -> None:
         alone, left = costs([k])
         assert alone[0] == together[k]
         assert np.array_equal(left[:, :, 0], noise[:, :, k])
+
+
+def test_steps_of_rollouts_are_within_half_a_millimetre_of_the_exact_motion() -> None:
+    random, settings = np.random.default_rng(3), Mppi(kind="mppi", objective="plan", near=0.0, position=0.0005)
+    for _ in range(20):
+        held = random.uniform([0.1, -0.38], [0.6, 0.38], (7, 2))
+        controls, states = np.repeat(held, 8, axis=0), [start()]
+        for k in range(560):
+            states.append(model().advance(states[-1], controls[k // 10], settings.step / 10))
+        exact = replace(way(start()), times=np.arange(57) * settings.step, states=np.array(states[::10]))
+        rollouts = Rollouts(solvers().checking, model(), settings, np.ones(2), 56)
+        still, noise = np.zeros((7, 2, 1), np.float32), np.empty((56, 2, 1), np.float32)
+        (cost,) = rollouts.costs(Estimate(0.0, start(), 0.0), exact, controls, still, noise, 8)
+        assert cost < 56 * settings.step
+
+
+@pytest.mark.parametrize("cutoff", [0.0, 3.0])
+def test_costs_up_to_a_cutoff_above_the_least_one_are_exact_and_others_are_more(cutoff: float) -> None:
+    settings, precision = Mppi(kind="mppi", steps=30), np.array([4.0, 9.0])
+    nominal = np.column_stack([np.full(30, 0.75), np.full(30, -0.02)])
+    drawn = np.repeat(np.random.default_rng(5).normal(0.0, 0.3, (1, 2, 300)), 30, axis=0).astype(np.float32)
+    noise = np.empty((30, 2, 300), np.float32)
+    exact, found = (
+        Rollouts(solvers().checking, model(), settings, precision, 30, most).costs(
+            Estimate(0.0, MOVING, 0.0), way(MOVING), nominal, drawn, noise, 1, settings.gamma
+        )
+        for most in (math.inf, cutoff)
+    )
+    known = np.isfinite(found)
+    assert np.array_equal(found[known], exact[known])
+    assert known[exact <= exact.min() + cutoff].all()
+    assert np.count_nonzero(~known) > 100
+
+
+@pytest.mark.parametrize("objective", ["goal", "plan"])
+def test_rollouts_that_do_not_count_hardly_change_the_controls(objective: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings, path = Mppi(kind="mppi", objective=objective), way(MOVING)  # type: ignore[arg-type]
+    chosen = []
+    for negligible in (sampling.NEGLIGIBLE, math.inf):
+        monkeypatch.setattr(sampling, "NEGLIGIBLE", negligible)
+        controller = mppi(settings)
+        chosen.append([controller.command(Estimate(k / 30, MOVING, 0.0), path) for k in range(10)])
+    assert np.abs(np.array(chosen[0]) - np.array(chosen[1])).max() < 1e-3
 
 
 def test_a_copy_sends_the_same_commands_and_leaves_the_controller_as_it_is() -> None:

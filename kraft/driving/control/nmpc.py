@@ -8,10 +8,6 @@ Two solvers find the same optimum.  `sqp` makes Gauss-Newton steps from the last
 for most commands, which is the real-time iteration.  PIQP solves their quadratic programs.  `ipopt` solves each problem
 by itself.
 
-The derivative of any vehicle becomes a CasADi expression from the source of its Python functions, which are executed
-with symbols instead of numbers.  Conditional expressions, `and`, `or`, `not`, `min`, `max` and `abs` become their
-symbolic counterparts; statements that branch on the state cannot be written as an expression.
-
 Andersson, Gillis, Horn, Rawlings, Diehl: CasADi, 2019.  Waechter, Biegler: On the implementation of an interior-point
 filter line-search algorithm for large-scale nonlinear programming, 2006.
 Diehl, Bock, Schloeder: A real-time iteration scheme for nonlinear optimization in optimal feedback control, 2005.
@@ -20,17 +16,11 @@ Schwan, Jiang, Kuhn, Jones: PIQP, a proximal interior-point quadratic programmin
 
 from __future__ import annotations
 
-import ast
-import builtins
 import copy
-import inspect
 import itertools
 import math
-import textwrap
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from functools import reduce
-from types import ModuleType, SimpleNamespace
 from typing import Any, Final, Self
 
 import numpy as np
@@ -42,12 +32,12 @@ from kraft.driving.messages import Controller, Estimate, Reference, ReferenceKin
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError, MissingDependency
 from kraft.vehicles.load import problem_of
-from ompl_ext import trigonometry
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.clearance import cover
 from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.solver import DirtSolver
+from ompl_ext.symbolic import NotSymbolicError, symbolic_derivative
 from ompl_ext.vehicle import Vehicle
 
 FAR: Final = 3.0
@@ -132,8 +122,8 @@ class NmpcController:
         else:
             candidates = [moved(self._solution.controls, (estimate.time - self._time) / settings.step)]
         if settings.objective == "plan":
-            begins = estimate.time + settings.step * np.arange(settings.steps)
-            candidates.append(model.clamped(np.array([reference.control_at(float(time)) for time in begins])))
+            begins = estimate.time + settings.step * np.arange(settings.steps, dtype=np.float64)
+            candidates.append(model.clamped(reference.controls_at(begins)))
         controls, count = np.stack(candidates, axis=1), len(candidates)
         states = np.empty((settings.steps + 1, count, len(model.vehicle.state)))
         begin = np.asarray(estimate.state, dtype=float)
@@ -208,7 +198,7 @@ class _Problem:
     def _solver(self, ca: Any, settings: Nmpc, model: VehicleModel, centres: Matrix) -> Solver:
         nx, nu, n = self._sizes
         np_ = len(model.parameters)
-        step = _runge_kutta(ca, symbolic_derivative(model.vehicle), nx, nu, np_, settings.step)
+        step = _runge_kutta(ca, symbolic_derivative_of(model.vehicle), nx, nu, np_, settings.step)
         states, controls, lack = ca.SX.sym("x", nx, n), ca.SX.sym("u", nu, n), ca.SX.sym("s", n)
         start, parameters = ca.SX.sym("x0", nx), ca.SX.sym("p", np_)
         targets, planes, last = ca.SX.sym("r", 4, n), ca.SX.sym("h", 3 * len(centres), n), ca.SX.sym("v", nu)
@@ -394,10 +384,6 @@ def _runge_kutta(ca: Any, derivative: Any, nx: int, nu: int, np_: int, h: float)
     return ca.Function("step", [x, u, p], [after])
 
 
-FUNCTIONS: Final = ("sin", "cos", "tan", "atan", "atan2", "sqrt", "exp", "log", "sinh", "cosh", "tanh", "asin", "acos")
-"""Functions of `math` and of `ompl_ext` that have the same name in CasADi."""
-
-
 def casadi_of() -> Any:
     """The package CasADi.
 
@@ -413,111 +399,16 @@ def casadi_of() -> Any:
     return casadi
 
 
-class _NotPlainError(Exception):
-    """What a vehicle brings is not defined by a `def` statement."""
-
-
-def symbolic_derivative(vehicle: Vehicle) -> Callable[[Any, Any, Any], Any]:
+def symbolic_derivative_of(vehicle: Vehicle) -> Callable[[Any, Any, Any], Any]:
     """Function of state (nx), control (nu) and parameters (np), all CasADi symbols, that returns dx/dt.
 
     Raises:
         MissingDependency: if CasADi is missing.
         InputError: if a function of the vehicle has no source, or branches by statements.
     """
-    ca = casadi_of()
-    nx, nu, count = len(vehicle.state), len(vehicle.controls), len(vehicle.parameter_array)
-
-    def derivative(x: Any, u: Any, p: Any) -> Any:
-        parameters = tuple(p[k] for k in range(count))
-        inputs = tuple(u[k] for k in range(nu))
-        if vehicle.actuation is not None:
-            inputs = _traced(vehicle.actuation, {})(inputs, parameters)
-        rates = _traced(vehicle.derivative, {})(tuple(x[k] for k in range(nx)), inputs, parameters)
-        return ca.vertcat(*rates)
-
     try:
-        derivative(ca.SX.sym("x", nx), ca.SX.sym("u", nu), ca.SX.sym("p", count))
-    except (OSError, TypeError, RuntimeError, SyntaxError, _NotPlainError) as error:
+        return symbolic_derivative(vehicle, casadi_of())
+    except NotSymbolicError as error:
         problem = f"cannot be written as an expression, which nmpc needs: {str(error).splitlines()[0]}"
         expected = "expected a derivative in a file, without `if` and `while` statements on its arguments"
         raise InputError([problem_of(vehicle, "model", problem, expected, Code.MISMATCH)]) from None
-    return derivative
-
-
-def _traced(function: Any, known: dict[int, Any]) -> Any:
-    """A function of a vehicle, for symbols; `known` are those that were traced already."""
-    plain = getattr(function, "py_func", function)
-    if id(plain) in known:
-        return known[id(plain)]
-    tree = _Symbolic().visit(ast.parse(textwrap.dedent(inspect.getsource(plain))))
-    definition = tree.body[0]
-    if not isinstance(definition, ast.FunctionDef):
-        raise _NotPlainError(f"{plain.__name__} is not a plain function")
-    definition.decorator_list = []
-    definition.returns = None
-    for argument in definition.args.args:
-        argument.annotation = None
-    cells = plain.__closure__ or ()
-    scope = {
-        **plain.__globals__,
-        **dict(zip(plain.__code__.co_freevars, (c.cell_contents for c in cells), strict=True)),
-    }
-    names = {node.id for node in ast.walk(definition) if isinstance(node, ast.Name)}
-    values = {name: _value(scope[name], known) for name in sorted(names) if name in scope}
-    space = {**values, **_symbolic_builtins()}
-    exec(compile(ast.fix_missing_locations(tree), inspect.getfile(plain), "exec"), space)
-    known[id(plain)] = space[plain.__name__]
-    return known[id(plain)]
-
-
-def _value(value: Any, known: dict[int, Any]) -> Any:
-    """A global of a traced function: the symbolic counterpart of a function, and anything else as it is."""
-    name = getattr(value, "__name__", "")
-    ours = name in FUNCTIONS and getattr(trigonometry, name, None) is value
-    if ours or (name in FUNCTIONS and getattr(math, name, None) is value):
-        return getattr(casadi_of(), name)
-    if isinstance(value, ModuleType):
-        found = {each: getattr(casadi_of(), each) for each in FUNCTIONS if hasattr(value, each)}
-        found |= {each: getattr(value, each) for each in ("pi", "tau", "inf") if hasattr(value, each)}
-        return SimpleNamespace(**found) if name in ("math", "numpy", "ompl_ext", trigonometry.__name__) else value
-    if hasattr(getattr(value, "py_func", value), "__code__"):
-        return _traced(value, known)
-    return value
-
-
-def _symbolic_builtins() -> dict[str, Any]:
-    ca = casadi_of()
-    return {
-        "__builtins__": builtins,
-        "_if_else": lambda test, yes, no: ca.if_else(test, yes, no) if _is_symbol(ca, test) else (yes if test else no),
-        "_and": lambda *tests: reduce(ca.logic_and, tests),
-        "_or": lambda *tests: reduce(ca.logic_or, tests),
-        "_not": ca.logic_not,
-        "abs": ca.fabs,
-        "min": lambda *values: reduce(ca.fmin, values),
-        "max": lambda *values: reduce(ca.fmax, values),
-    }
-
-
-def _is_symbol(ca: Any, value: Any) -> bool:
-    return isinstance(value, ca.SX | ca.MX | ca.DM)
-
-
-class _Symbolic(ast.NodeTransformer):
-    """Replaces what Python decides at once by calls that may return an expression."""
-
-    def visit_IfExp(self, node: ast.IfExp) -> ast.AST:
-        self.generic_visit(node)
-        return _call("_if_else", node.test, node.body, node.orelse)
-
-    def visit_BoolOp(self, node: ast.BoolOp) -> ast.AST:
-        self.generic_visit(node)
-        return _call("_and" if isinstance(node.op, ast.And) else "_or", *node.values)
-
-    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
-        self.generic_visit(node)
-        return _call("_not", node.operand) if isinstance(node.op, ast.Not) else node
-
-
-def _call(name: str, *arguments: ast.expr) -> ast.Call:
-    return ast.Call(ast.Name(name, ast.Load()), list(arguments), [])

@@ -12,7 +12,7 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -24,20 +24,37 @@ from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.specialise import optional_module
 from ompl_ext.solver import DirtSolver
 
+NEGLIGIBLE: Final = 10.0
+"""Costs beyond the least one, as a multiple of the temperature, from which on a rollout does not count: its weight is
+below 5e-5 of that of the best one."""
+
 
 class Rollouts:
     """Costs of rollouts of a vehicle's model in the map of a solver."""
 
-    def __init__(self, dirt: DirtSolver, model: VehicleModel, cost: RolloutCost, precision: Floats) -> None:
-        """`precision` (nu,) is one over the variance of the noise on each control."""
+    def __init__(
+        self,
+        dirt: DirtSolver,
+        model: VehicleModel,
+        cost: RolloutCost,
+        precision: Floats,
+        steps: int,
+        cutoff: float = math.inf,
+    ) -> None:
+        """Prepare rollouts of some steps.
+
+        `precision` (nu,) is one over the variance of the noise on each control.  Costs that exceed the least one by
+        more than `cutoff` need not be known.
+        """
         module = optional_module(model.vehicle, "rollouts")
-        self._costs, self._block = module.roll_out_costs, np.zeros(module.BLOCK)
+        self._costs, self._memory = module.roll_out_costs, module.memory(steps)
         self._dirt, self._model, self._precision = dirt, model, precision
         self._follows = cost.objective == "plan"
         self._step = cost.step
         self._weights = np.zeros(at.ROLLOUT_WEIGHTS)
         self._weights[[at.ROLLOUT_STEP, at.ROLLOUT_COLLISION]] = cost.step, cost.collision
         self._weights[[at.ROLLOUT_NEAR, at.ROLLOUT_MARGIN]] = cost.near, cost.margin
+        self._weights[at.ROLLOUT_CUTOFF] = cutoff
         if self._follows:
             errors = cost.position, math.radians(cost.heading_deg), cost.speed
             self._weights[[at.ROLLOUT_POSITION, at.ROLLOUT_HEADING, at.ROLLOUT_SPEED]] = np.array(errors) ** -2.0
@@ -57,6 +74,7 @@ class Rollouts:
         """Costs (n,) of the controls `nominal` (steps, nu) + `drawn` (holds, nu, n), each held for `hold` steps.
 
         `noise` (steps, nu, n) receives what is left of the latter when the controls are kept within their bounds.
+        Costs that need not be known are infinite.
         """
         self._weights[at.ROLLOUT_GAMMA] = gamma
         found = np.empty(drawn.shape[2])
@@ -64,7 +82,7 @@ class Rollouts:
         followed = self._followed(estimate.time, reference, len(nominal)) if self._follows else np.zeros((0, 5))
         self._costs(
             np.ascontiguousarray(estimate.state, dtype=np.float64), nominal, drawn, hold, followed, self._weights,
-            self._precision, problem._replace(parameters=parameters), self._block, noise, found,
+            self._precision, problem._replace(parameters=parameters), self._memory, noise, found,
         )  # fmt: skip
         return found
 
@@ -114,7 +132,8 @@ class MppiController:
         """`law` tracks contingencies; the samples depend on `seed` alone."""
         self._settings, self._model, self.law = settings, model, law
         self._deviation = settings.spread * (model.high - model.low)
-        self._rollouts = Rollouts(dirt, model, settings, self._deviation**-2.0)
+        cutoff = NEGLIGIBLE * settings.temperature
+        self._rollouts = Rollouts(dirt, model, settings, self._deviation**-2.0, settings.steps, cutoff)
         self._random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed % 2**63, 0x3991])))
         self._nominal = self._at_rest()
         self._noise = np.empty((settings.steps, len(self._deviation), settings.rollouts), np.float32)  # working memory
@@ -183,12 +202,12 @@ class DwaController:
     def __init__(self, settings: Dwa, model: VehicleModel, dirt: DirtSolver, law: Controller) -> None:
         """`law` tracks contingencies."""
         self._model, self.law = model, law
-        self._rollouts = Rollouts(dirt, model, settings, np.ones(len(model.low)))
         self._collision = settings.collision
         samples = [np.linspace(low, high, settings.samples) for low, high in zip(model.low, model.high, strict=True)]
         self._controls = np.array(list(itertools.product(*samples)))
         steps = max(1, round(settings.horizon / settings.step))
         self._nominal = np.zeros((steps, len(model.low)))
+        self._rollouts = Rollouts(dirt, model, settings, np.ones(len(model.low)), steps, cutoff=0.0)
         self._arcs = np.ascontiguousarray(self._controls.T[None], dtype=np.float32)
         self._noise = np.empty((steps, *self._arcs.shape[1:]), np.float32)  # working memory
         self._updates = Updates(settings.predicted_hz)
