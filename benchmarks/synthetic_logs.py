@@ -74,17 +74,24 @@ def synthetic_logs(
 
 
 def _acting(model: Vehicle, truth: Mapping[str, float], commands: CommandSeries, seconds: float) -> Matrix:
-    """Controls (steps, nu) as they act: delayed, less the dead band, and lagging."""
+    """Controls (steps, nu) as they act: delayed, behind the play, less the dead band, and lagging."""
     times, values = commands
     middles = FINE * (np.arange(round(seconds / FINE)) + 0.5)
     acting = np.empty((len(middles), len(model.controls)))
     for k, (name, bounds) in enumerate(model.controls.items()):
         delay = truth.get("delay", 0.0) + truth.get(f"delay_{name}", 0.0)
         column = np.concatenate([[float(np.clip(0.0, *bounds))], values[:, k]])
+        column = _pushed(column, truth.get(f"play_{name}", 0.0), -truth.get("phi_diff", 0.0))
         u = column[np.searchsorted(times, middles - delay, side="right")]
         held = np.sign(u) * np.maximum(np.abs(u) - truth.get(f"dead_band_{name}", 0.0), 0.0)
         acting[:, k] = _lagging(held, truth.get(f"lag_{name}", 0.0))
     return acting
+
+
+def _pushed(values: Floats, play: float, at: float) -> Floats:
+    """What values (n,) push from `at` on, at the ends of a play of +-`play`."""
+    found = [at := min(max(at, value - play), value + play) for value in values.tolist()]
+    return np.array(found)
 
 
 def _lagging(held: Floats, lag: float) -> Floats:

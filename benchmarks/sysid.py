@@ -170,10 +170,10 @@ def real(name: str) -> list[Row]:
         all_position.append(errors.overall_position)
         delays.append(result.values.get("delay", 0.0))
         ahead.append(result.rear_axle or 0.0)
-    near = Target(0.02, of="worst") if name == "mushr-lag" else None  # mushr's speed has a fixed lag
+    near = Target(0.0164, of="worst") if name == "mushr-lag" else None  # mushr's speed has a fixed lag
     return [
         row(f"F1TENTH, {name}: held-out position error after 3 s", "m", position, near),
-        row(f"F1TENTH, {name}: held-out yaw error after 3 s", "rad", yaw, Target(0.03, of="worst")),
+        row(f"F1TENTH, {name}: held-out yaw error after 3 s", "rad", yaw, Target(0.016, of="worst")),
         row(f"F1TENTH, {name}: held-out position error over 3 s", "m", all_position),
         row(f"F1TENTH, {name}: delay", "s", delays),
         row(f"F1TENTH, {name}: tracked point ahead of the rear axle", "m", ahead),

@@ -45,6 +45,7 @@ _ARCS: Final = "arcs to the left and to the right, of several radii"
 _THROTTLE_STEPS: Final = "steps of the throttle up and down, from rest and back to it"
 _THROTTLE_LEVELS: Final = "several constant throttles, low ones too, for some seconds each"
 _COMMAND_CHANGES: Final = "sudden changes of the commands while driving"
+_RETURNS: Final = "steering to either side and back to straight, held for a second each"
 _MANOEUVRES: Final = {
     "L": _ARCS,
     "phi_diff": _ARCS,
@@ -55,6 +56,7 @@ _MANOEUVRES: Final = {
     "friction": _THROTTLE_STEPS,
     "dead_band_throttle": _THROTTLE_LEVELS,
     "dead_band_steering": _ARCS,
+    "play_steering": _RETURNS,
     "lever": _ARCS,
     "side": _ARCS,
     "yaw_offset": _ARCS,
@@ -165,13 +167,17 @@ def _convergence(solution: Solution) -> Iterator[str]:
 
 
 def _bounds(solution: Solution) -> Iterator[str]:
-    p = solution.problem.parameters
+    p, step = solution.problem.parameters, float(solution.problem.chains.h.max())
     for name, which in at_bound(solution).items():
         spec = p.specs[p.index(name)]
-        if name in p.auxiliary and spec.min == 0.0 and which == "lower":
-            yield f"{name} is 0, its lower bound: the data show no such effect"
-            continue
         bound = spec.min if which == "lower" else spec.max
+        is_lag = spec.unit == "s" and 0.0 <= bound <= step + 1e-9  # one within a step hardly differs from none
+        if bound in (0.0, spec.neutral) or is_lag:
+            yield (
+                f"{name} is {bound:g}{spec.unit_text if bound else ''}, its {which} bound: the data show no such "
+                f"{'lag' if is_lag else 'effect'}, and a model without it suffices"
+            )
+            continue
         yield (
             f"{name} is at its {which} bound {bound:g}{spec.unit_text}: widen the bound if it is wrong; otherwise the "
             "model lacks an effect that the parameter compensates for"

@@ -6,7 +6,7 @@ with a hat (triangular) function twice as wide as the step instead of a box: the
 lag is then continuous, so that the optimiser does not stop where a jump of the command crosses into the next step.
 Both functions have the same area and centre.  What moves a vehicle with a dead zone or brakes is not the mean of two
 commands.  `ActuatorModel.split` therefore splits a step where a command jumps; the length of the two parts is a
-continuous function of the delay.
+continuous function of the delay.  Play comes before the dead band: a command moves the wheels at the ends of it alone.
 
 Dynamics: friction of the drive is an auxiliary parameter.  While the vehicle moves, friction reduces the throttle by a
 constant, even if no throttle is commanded, so that a coasting vehicle comes to rest sooner than with a lag alone.  A
@@ -25,7 +25,7 @@ import numpy as np
 from scipy.linalg import solve_banded
 
 from kraft.sysid.chains import Segment, pose_steps
-from kraft.sysid.parameters import Parameters, speed_index
+from kraft.sysid.parameters import Parameters, speed_index, steering_offset
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.vehicle import Vehicle
@@ -61,11 +61,13 @@ class ActuatorModel:
         self._last: tuple[bytes, Matrix, Floats] | None = None
         self._lags = [parameters.auxiliary_index(f"lag_{control}") for control in self._controls]
         self._dead_bands = [parameters.auxiliary_index(f"dead_band_{control}") for control in self._controls]
+        self._plays = [parameters.auxiliary_index(f"play_{control}") for control in self._controls]
+        self._offset = steering_offset(parameters)
         alike: dict[tuple[int, ...], list[int]] = {}
         for k, delays in enumerate(self._delays):
-            alike.setdefault((self._lags[k], self._dead_bands[k], *delays), []).append(k)
+            alike.setdefault((self._lags[k], self._dead_bands[k], self._plays[k], *delays), []).append(k)
         self._alike = list(alike.values())
-        """controls with the same delay, lag and dead band: their means are computed together"""
+        """controls that are processed alike, together; one with a dead band or a play is like no other"""
 
     def mean(self, rho: Floats) -> tuple[Matrix, Floats]:
         """Acting controls (N, nu) of all steps and their derivatives (N, nu, np) with respect to rho.
@@ -101,9 +103,7 @@ class ActuatorModel:
             shares[drive.rows] = share
             edges = np.stack([drive.begin, drive.begin + share * drive.h, drive.begin + drive.h])
             for k in range(len(self._controls)):
-                times, values = self._commanded(drive, [k])
-                if (j := self._dead_bands[k]) >= 0:
-                    values = np.sign(values) * np.maximum(np.abs(values) - rho[j], 0.0)
+                times, values, _ = self._moved(drive, [k], rho)
                 lag = float(rho[self._lags[k]]) if self._lags[k] >= 0 else 0.0
                 once = _integrals(times, values, (edges - self._delay(k, rho)).ravel(), lag).once.reshape(edges.shape)
                 means[drive.rows, :, k] = (np.diff(once, axis=0) / np.maximum(np.diff(edges, axis=0), 1e-12)).T
@@ -134,16 +134,28 @@ class ActuatorModel:
         times, values = drive.part.command_times, drive.part.commands[:, controls]
         return times, np.vstack([self._rest[controls] if drive.resting else values[0], values])
 
+    def _moved(self, drive: _Drive, controls: Sequence[int], rho: Floats) -> tuple[Floats, Matrix, dict[int, Matrix]]:
+        """As `_commanded`, but behind play and dead band of controls that are alike; derivatives by index of rho."""
+        (times, values), slopes, k = self._commanded(drive, controls), {}, controls[0]
+        if (j := self._plays[k]) >= 0:
+            straight = -float(rho[self._offset]) if self._offset >= 0 else 0.0
+            moved, by_play, by_straight = through_play(values[:, 0], float(rho[j]), straight)
+            values, slopes[j] = moved[:, None], by_play[:, None]
+            if self._offset >= 0:
+                slopes[self._offset] = -by_straight[:, None]
+        if (j := self._dead_bands[k]) >= 0:
+            signs = np.where(np.abs(values) > rho[j], np.sign(values), 0.0)
+            slopes = {i: np.abs(signs) * slope for i, slope in slopes.items()} | {j: -signs}
+            values = signs * (np.abs(values) - rho[j])
+        return times, values, slopes
+
     def _delay(self, k: int, rho: Floats) -> float:
         return sum(float(rho[j]) for j in self._delays[k])
 
     def _acting(self, drive: _Drive, controls: Sequence[int], rho: Floats) -> _Acting:
         """Means of controls that are alike in the steps of all segments of a drive."""
-        (times, values), slopes, k = self._commanded(drive, controls), {}, controls[0]
-        if (j := self._dead_bands[k]) >= 0:
-            signs = np.where(np.abs(values) > rho[j], np.sign(values), 0.0)
-            slopes[j] = -self._means(drive, times, signs, k, rho).values
-            values = signs * (np.abs(values) - rho[j])
+        (times, values, moved), k = self._moved(drive, controls, rho), controls[0]
+        slopes = {j: self._means(drive, times, slope, k, rho).values for j, slope in moved.items()}
         means = self._means(drive, times, values, k, rho)
         slopes |= dict.fromkeys(self._delays[k], -means.by_time)
         if (j := self._lags[k]) >= 0:
@@ -157,6 +169,31 @@ class ActuatorModel:
         if not delays and lag < 0:
             return box_means(times, values, begin, drive.h)
         return hat_means(times, values, begin, drive.h, float(rho[lag]) if lag >= 0 else 0.0)
+
+
+def through_play(values: Floats, play: float, first: float) -> tuple[Floats, Floats, Floats]:
+    """What follows values (n,) that push it at the ends of a play of +-`play`, and slopes (n,) by `play` and `first`.
+
+    It remains at `first` until it is pushed.  Each value limits it to an interval, and limits one after the other are
+    limits again: they are combined by two, by four, and so on.
+    """
+    low, high, by_low, by_high = values - play, values + play, np.full_like(values, -1.0), np.ones_like(values)
+    span = 1
+    while span < len(values):
+        limits = low[span:], high[span:], by_low[span:], by_high[span:]
+        lower = _limited(low[:-span], by_low[:-span], *limits)
+        upper = _limited(high[:-span], by_high[:-span], *limits)
+        low[span:], by_low[span:], high[span:], by_high[span:] = *lower, *upper
+        span *= 2
+    found, by_play = _limited(np.full_like(values, first), np.zeros_like(values), low, high, by_low, by_high)
+    return found, by_play, ((low <= first) & (first <= high)).astype(np.float64)
+
+
+def _limited(
+    values: Floats, slopes: Floats, low: Floats, high: Floats, by_low: Floats, by_high: Floats
+) -> tuple[Floats, Floats]:
+    """Values (n,) within limits, and their derivatives."""
+    return np.clip(values, low, high), np.where(values < low, by_low, np.where(values > high, by_high, slopes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,13 +268,10 @@ class _Integrals:
 
 
 def box_means(times: Floats, values: Matrix, begin: Floats, h: Floats) -> Means:
-    """Means over steps of h (n,) s from `begin` (n,), of m signals without lag that are values[i] (m,) before times[i].
-
-    The last row of `values` (k + 1, m) is that after the last of the `times` (k,).
-    """
+    """Means over steps of h (n,) s from `begin` (n,), of signals without lag that are values[i] (m,) before times[i]."""
     found = _integrals(times, values, np.concatenate([begin, begin + h]), 0.0)
-    once, now, by_lag = (each.reshape(2, len(h), -1) for each in (found.once, found.now, found.once_by_lag))
-    return Means(*((each[1] - each[0]) / h[:, None] for each in (once, now, by_lag)))
+    parts = (each.reshape(2, len(h), -1) for each in (found.once, found.now, found.once_by_lag))
+    return Means(*((end - start) / h[:, None] for start, end in parts))
 
 
 def hat_means(times: Floats, values: Matrix, begin: Floats, h: Floats, lag: float) -> Means:

@@ -52,6 +52,7 @@ REFITS_MAX = 3
 """Most rounds of model selection, each of which removes auxiliary parameters and fits the others again."""
 BOTH_SIDES = ("phi_diff", "asymmetry", "yaw_offset")
 """Parameters of a car that turns to one side do not tell from the steering curve and the slip."""
+WHEELBASE = "L"
 TURN_SECONDS, TURN_STEP = 3.0, 0.02
 TURN_STEERING_SHARE = 0.1
 """Steering of the simulated turn, as a share of the full steering."""
@@ -167,7 +168,19 @@ def identify_terms(
     identification = _identified(best, final, usable, settings)
     rows = tuple(_trial(s, chosen=s is best, horizon=settings.horizon) for s in trials)
     notes = [f"not identified, because only turns to both sides show them: {', '.join(held)}"] if held else []
+    notes += _wheelbase_note(identification, settings)
     return ModelChoice(vehicle, replace(identification, trials=rows, notes=(*identification.notes, *notes)))
+
+
+def _wheelbase_note(identification: Identification, settings: Settings) -> list[str]:
+    """What to do about a wheelbase that nobody stated."""
+    known = identification.parameters.get(WHEELBASE)
+    if known is None or not known.frozen or WHEELBASE in settings.values:
+        return []
+    return [
+        f"poses do not show {WHEELBASE}, the wheelbase, but its ratio to the steering: it remains {known.value:g} m, "
+        "and wheel angles are those of such a car; state the measured one, with which predictions are the same"
+    ]
 
 
 def _with_clock_offset(settings: Settings, logs: Sequence[Log]) -> Settings:

@@ -25,7 +25,7 @@ from kraft.sysid.chains import Segment, chains_of
 from kraft.sysid.dynamics import DIFFERENCE_STEP, ActuatorModel
 from kraft.sysid.initial_values import SmoothedPoses, initial_states, smooth_chains
 from kraft.sysid.optimiser import OnIteration, Optimum, RhoFactors, bounded_step, ignore_iteration
-from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index
+from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index, steering_offset
 from kraft.sysid.problem import NoiseModel, Point, Problem, assemble
 from kraft.sysid.smoothing import NEIGHBOURS
 from kraft.sysid.windows import Acting, Variation, Windows, controls_in_parts, places
@@ -92,10 +92,12 @@ class MultiStep:
         self._commands: dict[bytes, tuple[Acting, Ints, Matrix]] = {}
         self._commands_before: dict[bytes, Acting] = {}
         self._expected: dict[bytes, Matrix] = {}
-        acts = ("delay", "lag_", "dead_band_")
+        acts = ("delay", "lag_", "play_", "dead_band_")
         self._acting = [
             k for k, name in enumerate(parameters.names) if k >= parameters.model_size and name.startswith(acts)
         ]
+        if parameters.auxiliary_index("play_steering") >= 0 and (k := steering_offset(parameters)) >= 0:
+            self._acting.append(k)
 
     @cached_property
     def smoothed(self) -> SmoothedPoses:

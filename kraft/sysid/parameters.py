@@ -204,6 +204,8 @@ DELAY_MIN = -0.1
 
 DEAD_BAND_SHARE_MAX = {"throttle": 0.5, "steering": 0.25}
 """Controls that may have a dead band, and the largest dead band as a share of the largest command."""
+PLAY_SHARE_MAX = 0.25
+"""Largest half of the play of the steering, as a share of the largest command."""
 
 
 def is_unknown_to_planning(name: str) -> bool:
@@ -211,12 +213,17 @@ def is_unknown_to_planning(name: str) -> bool:
 
     The delay of all commands is stated, for driving; the others affect only how the vehicle is observed.
     """
-    return name.startswith(("delay_", "lag_", "dead_band_", "friction"))
+    return name.startswith(("delay_", "lag_", "play_", "dead_band_", "friction"))
 
 
 def speed_index(vehicle: Vehicle) -> int:
     """Index of the speed in the state: the first component that is 0 at rest; -1 if there is none."""
     return vehicle.rest_indices[0] if vehicle.rest and vehicle.rest[0] not in YAW_RATES else -1
+
+
+def steering_offset(parameters: Parameters) -> int:
+    """Index in rho of the wheel angle at steering 0; -1 if there is none, or if a command is not a wheel angle."""
+    return parameters.index("phi_diff") if "steer" not in parameters.vehicle.parameters else -1
 
 
 @dataclass(frozen=True)
@@ -252,6 +259,9 @@ def auxiliary_parameters(vehicle: Vehicle) -> dict[str, AuxiliaryParameter]:
             most = share * max(map(abs, vehicle.controls[name]))
             unit = "rad" if name == "steering" else "1"
             found.append(AuxiliaryParameter(f"dead_band_{name}", unit, 0.0, most, most, f"{name} without effect"))
+    if "steering" in vehicle.controls:
+        most = PLAY_SHARE_MAX * max(map(abs, vehicle.controls["steering"]))
+        found.append(AuxiliaryParameter("play_steering", "rad", 0.0, most, most, "half of the play of the steering"))
     if vehicle.index("theta") >= 0:
         found += [
             AuxiliaryParameter("lever", "m", -1.0, 1.0, 0.5, "tracked point ahead of the model's point"),

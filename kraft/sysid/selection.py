@@ -32,8 +32,9 @@ from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
 NEGLIGIBLE: Final = {"delay": 0.01, "lag_throttle": 0.01, "lag_steering": 0.01, "dead_band_throttle": 0.01,
-                    "dead_band_steering": 0.005, "friction": 0.01, "lever": 0.01, "yaw_offset": 0.005}  # fmt: skip
-"""Candidates of the automatic selection, and the value below which each is negligible (s, s, s, 1, rad, 1, m, rad)."""
+                    "dead_band_steering": 0.005, "play_steering": 0.005, "friction": 0.01, "lever": 0.01,
+                    "yaw_offset": 0.005}  # fmt: skip
+"""Candidates of the automatic selection, and the value below which each is negligible, in its unit."""
 SIGNIFICANCE = 3.0
 """Least distance from 0 of an auxiliary parameter that is kept, in standard deviations."""
 STD_RATIO_MAX = 0.5

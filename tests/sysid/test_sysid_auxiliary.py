@@ -12,7 +12,7 @@ from benchmarks.synthetic_logs import CommandSeries, random_commands, synthetic_
 from benchmarks.sysid import TRUTH
 from kraft.errors import Code, InputError
 from kraft.sysid import Identification, Settings, identify, prediction_errors
-from kraft.sysid.dynamics import DiscreteModel, Dynamics, hat_means
+from kraft.sysid.dynamics import DiscreteModel, Dynamics, hat_means, through_play
 from kraft.sysid.parameters import auxiliary_parameters, parameters_of, vehicle_of
 from kraft.sysid.problem import Observation
 from kraft.sysid.selection import check_free_parameters, selection_note
@@ -162,6 +162,20 @@ def test_a_model_without_parameters_has_nothing_but_extras() -> None:
     check_free_parameters(prompt, Settings())
 
 
+def test_play_is_moved_at_its_ends_alone() -> None:
+    rng = np.random.default_rng(0)
+    values = np.round(rng.normal(size=203), 1)
+    for play, first in ((0.33, 0.123), (1.77, -0.021)):
+        expected, at = [], first
+        for value in values:
+            at = min(max(at, value - play), value + play)
+            expected.append(at)
+        found, by_play, by_first = through_play(values, play, first)
+        assert found == pytest.approx(expected, abs=1e-15)
+        assert by_play == pytest.approx((through_play(values, play + 1e-6, first)[0] - found) / 1e-6)
+        assert by_first == pytest.approx((through_play(values, play, first + 1e-6)[0] - found) / 1e-6)
+
+
 def coasting(count: int, seconds: float = 15.0) -> list[CommandSeries]:
     """CommandSeries that jump about every second, every third without throttle."""
     given = [random_commands(vehicle_of(lag()), seconds, np.random.default_rng(1000 + k)) for k in range(count)]
@@ -183,10 +197,12 @@ def shown_by(name: str, truth: dict[str, float], model: str = "mushr-lag") -> Id
         {"delay": 0.06, "lag_steering": 0.1},
         {"lag_throttle": 0.2, "lag_steering": 0.2},
         {"dead_band_throttle": 0.12},
+        {"dead_band_steering": 0.04},
+        {"play_steering": 0.04},
     ],
     ids=lambda auxiliary: "+".join(auxiliary) or "none",
 )
-def test_a_lag_is_told_from_a_delay_and_a_dead_band_from_friction(auxiliary: dict[str, float]) -> None:
+def test_a_lag_is_told_from_a_delay_and_a_dead_band_from_friction_or_play(auxiliary: dict[str, float]) -> None:
     result = shown_by("mushr-lag", {**TRUTH, **auxiliary})
     assert set(result.auxiliary) == set(auxiliary)
     for name, value in {**TRUTH, **auxiliary}.items():
@@ -215,7 +231,10 @@ def test_friction_that_is_asked_for_and_not_there_is_not_shown_by_the_data() -> 
     result = identify(lag(), made, Settings(values={"friction": 0.4}))
     assert result.auxiliary == ("friction",)
     assert result.parameters["friction"].is_zero
-    assert "friction is 0, its lower bound: the data show no such effect" in result.warnings
+    assert (
+        "friction is 0, its lower bound: the data show no such effect, and a model without it suffices"
+        in result.warnings
+    )
     (note,) = result.notes
     assert note.startswith(
         "requested auxiliary parameters, kept: friction; no other auxiliary parameter is significant; removed:"

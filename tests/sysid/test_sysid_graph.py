@@ -29,9 +29,10 @@ from ompl_ext.kernels.specialise import kernels
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
 AUXILIARY = ("delay", "delay_steering", "lag_throttle", "lag_steering", "friction", "dead_band_throttle",
-          "dead_band_steering", "lever", "side", "yaw_offset")  # fmt: skip
+          "dead_band_steering", "play_steering", "lever", "side", "yaw_offset")  # fmt: skip
 VALUES = {**TRUTH, "delay": 0.07, "delay_steering": 0.03, "lag_throttle": 0.04, "lag_steering": 0.12, "friction": 0.08,
-          "dead_band_throttle": 0.1, "dead_band_steering": 0.02, "lever": 0.1, "side": -0.05, "yaw_offset": 0.03}  # fmt: skip
+          "dead_band_throttle": 0.1, "dead_band_steering": 0.02, "play_steering": 0.025, "lever": 0.1, "side": -0.05,
+          "yaw_offset": 0.03}  # fmt: skip
 
 
 def small_problem(robust: float | None = None, frozen: tuple[str, ...] = ()) -> tuple[Problem, Point]:
@@ -215,8 +216,8 @@ def test_commands_act_for_as_long_as_they_are_held(auxiliary: tuple[str, ...]) -
     commands = ActuatorModel([segment], parameters)
     rho = parameters.nominal.copy()
     for name in auxiliary:
-        if name.startswith("dead_band"):
-            rho[parameters.index(name)] = 0.0
+        if name.startswith(("dead_band", "play")):
+            rho[parameters.index(name)] = 0.0 if name.startswith("dead_band") else 1e-4  # no play below 0
     means, slopes = commands.mean(rho)
     delays = (0.07, 0.10) if auxiliary else (0.0, 0.0)
     part = segment.part
