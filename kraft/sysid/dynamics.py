@@ -268,7 +268,7 @@ class _Integrals:
 
 
 def box_means(times: Floats, values: Matrix, begin: Floats, h: Floats) -> Means:
-    """Means over steps of h (n,) s from `begin` (n,), of signals without lag that are values[i] (m,) before times[i]."""
+    """Means over steps of h (n,) s from `begin` (n,), of signals without lag, values[i] (m,) before times[i]."""
     found = _integrals(times, values, np.concatenate([begin, begin + h]), 0.0)
     parts = (each.reshape(2, len(h), -1) for each in (found.once, found.now, found.once_by_lag))
     return Means(*((end - start) / h[:, None] for start, end in parts))
