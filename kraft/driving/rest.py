@@ -17,7 +17,7 @@ from ompl_ext.solver import DirtSolver
 RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)
 CORRECTION_ATTEMPTS = 12  # at retaining a rest with different random corrections
 ATTEMPT_TOLERANCE = 0.03  # by which the cost of a whole rest may be higher after each attempt at a cheaper one (s)
-FRUITLESS_ATTEMPTS = 4  # in a row, that retain no more and save less than this tolerance, after which no more are made
+FRUITLESS_ATTEMPTS = 6  # in a row, that retain no more and save less than this tolerance, after which no more are made
 ATTEMPT_SEEDS = 1_000_000_007  # between the seeds of two attempts
 
 
