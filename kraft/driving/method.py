@@ -238,7 +238,7 @@ class Adaptive(StrictModel):
     """moving time from which parameters and delay are identified, s"""
     step: Annotated[Seconds, Field(ge=0.02, le=0.5)] = 0.1
     """time between two states of the identification, s"""
-    iterations: Annotated[int, Field(ge=1, le=50)] = 1
+    iterations: Annotated[int, Field(ge=1, le=50)] = 2
     """largest number of iterations of the identification in a cycle; each cycle begins at the result of the last one"""
     delay_std: Positive = 0.15
     """standard deviation of the prior of the delay, s"""
