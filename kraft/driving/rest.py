@@ -67,9 +67,8 @@ def start_with_best_corrections(
         gains = retained > best[0] or (retained == best[0] and -dirt.best_cost > best[1] + ATTEMPT_TOLERANCE)
         fruitless = 0 if gains else fruitless + 1
         best = max(best, (retained, -dirt.best_cost, seed + attempt * ATTEMPT_SEEDS))
-        if fruitless == FRUITLESS_ATTEMPTS:
-            break
-        if best[0] == edges.rest and -best[1] <= rest.left + RETAINED_TOLERANCE + attempt * ATTEMPT_TOLERANCE:
+        suffices = best[0] == edges.rest and -best[1] <= rest.left + RETAINED_TOLERANCE + attempt * ATTEMPT_TOLERANCE
+        if suffices or fruitless == FRUITLESS_ATTEMPTS:
             break
     dirt.start(root, best[2])
 

@@ -17,19 +17,14 @@ import numpy as np
 from kraft.errors import Code, InputError
 from kraft.vehicles import CAR_CONTROLS, is_car
 from ompl_ext.arrays import Bools, Floats, Matrix
+from ompl_ext.kernels.moments import INSTANT, MAX_STEP, ROUNDING
 from ompl_ext.kernels.specialise import StepKernels, kernels, step_kernels
 from ompl_ext.vehicle import Vehicle
 
-MAX_STEP: Final = 0.05
-"""Longest integration step, s."""
-ROUNDING: Final = 1e-9
-"""Share of an integration step that counts as an error of rounded times, not as time."""
 CHANGE: Final = 1e-5
 """Change of a component in a numeric derivative, SI."""
 NO_EFFECT: Final = 0.01
 """Effect of a parameter on the speed, as a share of that on what turns the vehicle, below which it has none."""
-INSTANT: Final = 1e-3
-"""Duration over which the direction of motion is measured, s."""
 
 COASTING: Final = 2.0
 """Time within which a vehicle that slows down by itself has lost half of its speed, s."""

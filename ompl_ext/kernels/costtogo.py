@@ -283,16 +283,22 @@ def _extend(distance: Floats, blocked: Bools) -> None:
 
 
 @inlined
-def seconds_to_goal(problem: Problem, x: float, y: float) -> float:
-    """Bilinear interpolation of the cost-to-go at (x, y) (s); (x, y) must be inside the workspace."""
-    togo, scalar = problem.togo, problem.scalar
-    u = (x - scalar[GRID_X]) * scalar[GRID_INVERSE] - 0.5
-    v = (y - scalar[GRID_Y]) * scalar[GRID_INVERSE] - 0.5
+def _between(togo: Floats32, u: float, v: float) -> float:
+    """Bilinear interpolation `u` columns and `v` rows from the centre of the first cell."""
     column, row = int(u), int(v)
     u, v = u - column, v - row
     low = togo[row, column] * (1.0 - u) + togo[row, column + 1] * u
     high = togo[row + 1, column] * (1.0 - u) + togo[row + 1, column + 1] * u
     return low * (1.0 - v) + high * v
+
+
+@inlined
+def seconds_to_goal(problem: Problem, x: float, y: float) -> float:
+    """Bilinear interpolation of the cost-to-go at (x, y) (s); (x, y) must be inside the workspace."""
+    togo, scalar = problem.togo, problem.scalar
+    u = (x - scalar[GRID_X]) * scalar[GRID_INVERSE] - 0.5
+    v = (y - scalar[GRID_Y]) * scalar[GRID_INVERSE] - 0.5
+    return _between(togo, u, v)
 
 
 @inlined
@@ -302,11 +308,7 @@ def _seconds_anywhere(problem: Problem, x: float, y: float) -> float:
     u = (x - scalar[GRID_X]) * scalar[GRID_INVERSE] - 0.5
     v = (y - scalar[GRID_Y]) * scalar[GRID_INVERSE] - 0.5
     u, v = min(max(u, 0.0), togo.shape[1] - 2.0), min(max(v, 0.0), togo.shape[0] - 2.0)
-    column, row = int(u), int(v)
-    u, v = u - column, v - row
-    low = togo[row, column] * (1.0 - u) + togo[row, column + 1] * u
-    high = togo[row + 1, column] * (1.0 - u) + togo[row + 1, column + 1] * u
-    return low * (1.0 - v) + high * v
+    return _between(togo, u, v)
 
 
 @compiled
