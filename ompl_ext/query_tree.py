@@ -86,6 +86,11 @@ class QueryTree(EdgeChecker):
         return bool(np.all(togo >= UNREACHABLE))
 
     @property
+    def root_cost_to_go(self) -> float:
+        """Cost-to-go of the first root, s."""
+        return float(self._tree.value[0, at.TOGO])
+
+    @property
     def progress(self) -> Progress:
         """Progress of the query since `start`."""
         return self._progress

@@ -41,7 +41,9 @@ RECOVERY_MARGIN = 0.005  # by which the required clearance of a recovery is belo
 STALLED = 0.5  # cost by which a plan exceeds what was left of the last one if there is no progress (s)
 CONVERGED = 0.1  # fall of the best cost during a quarter of the iterations below which a search has converged (s)
 PATIENCE = 0.4  # share of the iterations after which a search without a way to the goal ends
-LEVEL_GAIN = 2.0  # that a plan must save to keep less clearance than the last one (s)
+LEVEL_GAIN = 0.1  # share of its cost that a plan must save to keep less clearance
+LEAST_GAIN = 0.2  # that it must save at least, and that suffices where plans would get more expensive otherwise (s)
+DETOUR = 1.0  # cost of a plan beyond the cost-to-go from which on plans that keep less clearance are tried (s)
 PROGRESS_TIME = 2.0  # time in which plans get cheaper if the vehicle gets on (s)
 INSISTENCE = 1.25  # longest time for which less clearance may be kept for any gain, because they do not (s)
 PROGRESS = 0.4  # share of that time by which they get cheaper, at least
@@ -160,7 +162,7 @@ class Proposer:
     def _propose_at_levels(self, query: _Query) -> Proposal:
         """Plan of the first level of clearance that leaves a way to the goal, from the level of the last plan on.
 
-        To keep less clearance than the last plan has to save `LEVEL_GAIN`; to keep more may cost `RISE`.
+        To keep less clearance has to save a share of the cost; to keep more than the last plan may cost `RISE`.
         """
         levels, self._budget = self._levels, self._settings.largest_budget
         was_recovering, self._recovering = self._recovering, False
@@ -185,11 +187,11 @@ class Proposer:
             found = self._search(query, dirt, LEVEL_TIME, is_last=not waiting, attempts=attempts)
             if number < kept and not _leads_to_goal(found):
                 continue
-            gain = RISE if chosen < kept else LEVEL_GAIN if self._gets_on else 0.0
+            gain = RISE if chosen < kept else self._gain(proposal, query)
             if proposal.plan is None or _is_better(found, proposal, gain):
                 proposal, chosen = replace(found, kept=levels.all[number].share), number
             self._grown = (dirt, found.plan) if chosen == number and found.plan is not None else None
-            if _leads_to_goal(proposal) and not self._is_compared(number, found, rest):
+            if _leads_to_goal(proposal) and not self._is_compared(number, found, query):
                 break
         if proposal.plan is not None:
             cost = total_cost(proposal.plan)
@@ -216,16 +218,29 @@ class Proposer:
         """Whether plans have become cheaper lately."""
         return self._waited * self._settings.cycle <= PROGRESS_TIME
 
-    def _is_compared(self, number: int, found: Proposal, rest: Rest | None) -> bool:
-        """Whether the plan found at a level costs more than what was left, and the next level is tried as well.
+    def _gain(self, proposal: Proposal, query: _Query) -> float:
+        """What a plan must save to keep less clearance than the one of a proposal, s."""
+        if proposal.plan is None or not self._gets_on:
+            return 0.0
+        cost = total_cost(proposal.plan)
+        return LEAST_GAIN if cost > query.left + STALLED else max(LEAST_GAIN, LEVEL_GAIN * cost)
 
-        That is so at levels above that of the last plan, and at that level itself if there was no progress at it.
+    def _is_compared(self, number: int, found: Proposal, query: _Query) -> bool:
+        """Whether the next level is tried as well, because the plan found at a level is far from the cheapest one.
+
+        That is so if it costs more than what was left, at levels above that of the last plan and, if there was no
+        progress at it, at that level itself; and at every level if it costs much more than the cost-to-go.
         """
         levels = self._levels
-        if rest is None or found.plan is None or number > levels.kept or (number == levels.kept and not levels.stalled):
+        if found.plan is None:
+            return False
+        cost = total_cost(found.plan)
+        if cost > self._solvers.planning.root_cost_to_go + DETOUR:
+            return True
+        if query.rest is None or number > levels.kept or (number == levels.kept and not levels.stalled):
             return False
         gains_foresight = number < levels.far <= levels.kept
-        return total_cost(found.plan) > rest.left + (STALLED if gains_foresight else RETAINED_TOLERANCE)
+        return cost > query.left + (STALLED if gains_foresight else RETAINED_TOLERANCE)
 
     def _first_levels(self, query: _Query) -> list[int]:
         """Levels to search at, in their order: from that of the last plan on, and now and then from a higher one."""

@@ -30,9 +30,22 @@ from kraft.driving.clearance import (
 )
 from kraft.driving.messages import Uncertainty
 from kraft.driving.method import CalibratedBound, Clearance, PlannerSettings
-from kraft.driving.proposer import INSISTENCE, PROGRESS, PROGRESS_TIME, RISE, STALLED, Proposal, _Query
+from kraft.driving.proposer import (
+    DETOUR,
+    INSISTENCE,
+    LEAST_GAIN,
+    LEVEL_GAIN,
+    PROGRESS,
+    PROGRESS_TIME,
+    RISE,
+    STALLED,
+    Proposal,
+    Proposer,
+    _Query,
+)
 from kraft.driving.replanner import Replanner
 from kraft.driving.rest import RETAINED_TOLERANCE, total_cost
+from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver
 
 FORESIGHT, MARGIN = 60.0, 0.03
@@ -223,45 +236,73 @@ def test_a_plan_keeps_more_clearance_than_the_last_one_only_if_it_costs_little_m
     monkeypatch: pytest.MonkeyPatch, saved: float, level: int
 ) -> None:
     """A search at the level of the last plan, 2, finds one that costs as much less as stated than that at level 1."""
+    monkeypatch.setattr("kraft.driving.proposer.DETOUR", math.inf)
+    proposer, plan, tried = priced(monkeypatch, {1: 10.0, 2: 10.0 - saved})
+    proposer._levels.kept, proposer._levels._steady = 2, STEADY
+    proposer.propose(1, start(), replace(plan, cost=2.0))
+    assert tried == [1, 2]
+    assert proposer._levels.kept == level
+
+
+def priced(monkeypatch: pytest.MonkeyPatch, costs: dict[int, float]) -> tuple[Proposer, Plan, list[int]]:
+    """Proposer whose plans have the stated total cost at each level, a plan, and the levels that are tried."""
     subject, (found,) = driven(DeviationBound(0.3))
-    plan, proposer = found.plan, subject._proposer
+    plan, proposer, tried = found.plan, subject._proposer, list[int]()
     assert plan is not None
-    levels, tried = proposer._levels, list[int]()
-    levels.kept, levels._steady = 2, STEADY
-    chosen = levels.set
+    assert plan.cost_to_go == 0.0
+    levels = proposer._levels
+    levels.kept, levels.stalled, chosen = 0, False, levels.set
 
     def recorded(number: int, eased: bool) -> DirtSolver:
         tried.append(number)
         return chosen(number, eased)
 
-    def search(*_: object, **__: object) -> Proposal:
-        return Proposal(replace(plan, cost=10.0 if tried[-1] == 1 else 10.0 - saved))
+    def search(_: object, dirt: DirtSolver, *__: object, **___: object) -> Proposal:
+        dirt.start(start())
+        return Proposal(replace(plan, cost=costs[tried[-1]]))
 
     monkeypatch.setattr(levels, "set", recorded)
     monkeypatch.setattr(proposer, "_holds", lambda *_: False)
     monkeypatch.setattr(proposer, "_search", search)
-    proposer.propose(1, start(), replace(plan, cost=2.0))
-    assert tried == [1, 2]
-    assert levels.kept == level
+    return proposer, plan, tried
+
+
+@pytest.mark.parametrize(
+    ("left", "saved", "level"),
+    [
+        (20.0, 0.9 * LEVEL_GAIN * 20.0, 0),
+        (20.0, 1.1 * LEVEL_GAIN * 20.0, 2),
+        (19.0, 0.9 * LEVEL_GAIN * 20.0, 2),
+        (19.0, 0.9 * LEAST_GAIN, 0),
+    ],
+)
+def test_less_clearance_has_to_save_a_share_of_the_cost_or_little_where_plans_would_get_more_expensive(
+    monkeypatch: pytest.MonkeyPatch, left: float, saved: float, level: int
+) -> None:
+    proposer, plan, tried = priced(monkeypatch, {0: 20.0, 2: 20.0 - saved, 3: 30.0, 4: 30.0, 5: 30.0, 6: 30.0, 7: 30.0})
+    proposer.propose(1, start(), replace(plan, cost=left + 1.0))
+    assert tried[:2] == [0, 2]
+    assert proposer._levels.kept == level
+
+
+@pytest.mark.parametrize(("beyond", "is_compared"), [(0.9 * DETOUR, False), (1.1 * DETOUR, True)])
+def test_less_clearance_is_tried_where_a_plan_costs_much_more_than_the_cost_to_go(
+    monkeypatch: pytest.MonkeyPatch, beyond: float, is_compared: bool
+) -> None:
+    dirt = solvers().planning
+    dirt.start(start())
+    least = dirt.root_cost_to_go
+    assert least > 1.0
+    proposer, _, tried = priced(monkeypatch, {0: least + beyond, 2: least})
+    proposer.propose(0, start(), None)
+    assert tried == ([0, 2] if is_compared else [0])
 
 
 def test_a_vehicle_that_does_not_get_on_takes_any_gain_of_less_clearance(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each plan costs as much as the last one, and one with less clearance only a little less."""
-    subject, (found,) = driven(DeviationBound(0.3))
-    plan, proposer = found.plan, subject._proposer
-    assert plan is not None
-    levels, tried = proposer._levels, list[int]()
-    levels.kept = 0
-    chosen = levels.set
-
-    def recorded(number: int, eased: bool) -> DirtSolver:
-        tried.append(number)
-        return chosen(number, eased)
-
-    monkeypatch.setattr(levels, "set", recorded)
-    monkeypatch.setattr(proposer, "_holds", lambda *_: False)
-    monkeypatch.setattr(proposer, "_search", lambda *_, **__: Proposal(replace(plan, cost=10.0 - 0.3 * tried[-1])))
-    kept = []
+    monkeypatch.setattr("kraft.driving.proposer.DETOUR", math.inf)
+    proposer, plan, _ = priced(monkeypatch, {number: 10.0 - 0.3 * number for number in range(8)})
+    levels, kept = proposer._levels, []
     for number in range(1, 6):
         proposer.propose(number, start(), replace(plan, cost=10.5))
         kept.append(levels.kept)

@@ -29,7 +29,18 @@ from kraft.driving.estimation.adaptive import MOVED_AFTER, SIGNIFICANT, SLOW
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
 from kraft.driving.estimation.sliding_window import DRIVE_MAX, LAG, NOTICED, PRIOR_CORRELATION, PRIOR_SAMPLES
 from kraft.driving.method import Adaptive, CalibratedBound, Clearance, Filter, Method, PlannerSettings, load_method
-from kraft.driving.proposer import INSISTENCE, PATIENCE, PROBES_HIGHER, PROGRESS, PROGRESS_TIME, RISE, STALLED
+from kraft.driving.proposer import (
+    DETOUR,
+    INSISTENCE,
+    LEAST_GAIN,
+    LEVEL_GAIN,
+    PATIENCE,
+    PROBES_HIGHER,
+    PROGRESS,
+    PROGRESS_TIME,
+    RISE,
+    STALLED,
+)
 from kraft.driving.replanner import ROOM
 from kraft.driving.rest import ATTEMPT_TOLERANCE, CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
 from kraft.scenario import Sensing
@@ -172,6 +183,9 @@ def test_quoted_constants_are_those_in_the_code() -> None:
         f"from 0 to {DELAY_MAX:g} s", f"| none | {SOON:g} cycles |",
         f"has not reached the goal after {PATIENCE:g} `iterations` gives way",
         f"less than {RISE:g} s more than the plan that is then found at the lower level",
+        f"costs over {DETOUR:g} s more than the cost-to-go of its first state", f"and at least {LEAST_GAIN:g} s;",
+        f"{LEAST_GAIN:g} s suffice if the plan costs over {STALLED:g} s more than what was left",
     ):  # fmt: skip
         assert text in words
     assert (STEADY, NARROW, CORRECTION_ATTEMPTS, PROBES_HIGHER) == (2, (1.0, 0.5), 12, 4)
+    assert LEVEL_GAIN == 0.1  # a tenth
