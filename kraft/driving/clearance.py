@@ -64,6 +64,11 @@ class DeviationBound:
         return replace(self.scaled(level.share * part), per_speed=part * (self.per_speed - spared))
 
     @property
+    def knows_drive(self) -> bool:
+        """Whether delay and drive are known as well as is expected for later."""
+        return self.per_time <= LATER_GROWTH and self.per_speed <= LATER_DELAY
+
+    @property
     def later(self) -> DeviationBound:
         """Bound that is expected for the later part of a plan: delay and drive will be known better then."""
         growth = min(self.per_time, LATER_GROWTH) * self.horizon

@@ -191,7 +191,7 @@ class Proposer:
             if proposal.plan is None or _is_better(found, proposal, gain):
                 proposal, chosen = replace(found, kept=levels.all[number].share), number
             self._grown = (dirt, found.plan) if chosen == number and found.plan is not None else None
-            if _leads_to_goal(proposal) and not self._is_compared(number, found, query):
+            if _leads_to_goal(proposal) and not (waiting and self._is_compared(number, waiting[0], found, query)):
                 break
         if proposal.plan is not None:
             cost = total_cost(proposal.plan)
@@ -225,18 +225,19 @@ class Proposer:
         cost = total_cost(proposal.plan)
         return LEAST_GAIN if cost > query.left + STALLED else max(LEAST_GAIN, LEVEL_GAIN * cost)
 
-    def _is_compared(self, number: int, found: Proposal, query: _Query) -> bool:
-        """Whether the next level is tried as well, because the plan found at a level is far from the cheapest one.
+    def _is_compared(self, number: int, following: int, found: Proposal, query: _Query) -> bool:
+        """Whether the level `following` is tried as well, because the plan found at a level is far from the cheapest one.
 
         That is so if it costs more than what was left, at levels above that of the last plan and, if there was no
-        progress at it, at that level itself; and at every level if it costs much more than the cost-to-go.
+        progress at it, at that level itself; and at every level if it costs much more than the cost-to-go.  Then a level
+        without the margin is only tried by a vehicle that knows its drive.
         """
         levels = self._levels
         if found.plan is None:
             return False
         cost = total_cost(found.plan)
         if cost > self._solvers.planning.root_cost_to_go + DETOUR:
-            return True
+            return following < levels.wide or levels.bound.knows_drive
         if query.rest is None or number > levels.kept or (number == levels.kept and not levels.stalled):
             return False
         gains_foresight = number < levels.far <= levels.kept
