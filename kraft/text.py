@@ -35,6 +35,8 @@ def suggestion(word: str, options: Iterable[str], *, none: str = "there are no a
 def nearest(word: str, options: Iterable[str]) -> str | None:
     """Option most similar to ``word``, ignoring case and ``-``/``_``; None if none is similar."""
     folded = {_folded(option): option for option in options}
+    if _folded(word) in folded:
+        return folded[_folded(word)]
     for candidate, option in folded.items():  # a missing unit: yaw for yaw_deg
         if candidate.startswith(f"{_folded(word)}-"):
             return option

@@ -85,11 +85,11 @@ def is_name(text: str) -> bool:
 def _nearby(kind: Kind, path: Path) -> str:
     """Suggestion of a file in the same folder, or of a bundled name."""
     try:
-        siblings = [p.name for p in path.parent.iterdir() if p.suffix in _SUFFIXES]
+        siblings = {p.stem: p.name for p in path.parent.iterdir() if p.suffix in _SUFFIXES}
     except (OSError, ValueError):  # the folder is missing or unreadable: no suggestion from it
-        siblings = []
-    if near := nearest(path.name, siblings):
-        return f"did you mean {str(path.parent / near)!r}?"
+        siblings = {}
+    if near := nearest(path.stem, siblings):  # without the suffix, which makes all names similar
+        return f"did you mean {str(path.parent / siblings[near])!r}?"
     if near := nearest(path.stem, names(kind)):
         return f"expected the path of a .yaml file (there is a bundled {kind} {near!r})"
     return f"expected the path of a .yaml file or the name of a {kind}"

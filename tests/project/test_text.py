@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from kraft.text import counted, decimals, finite, grouped, metres
+from kraft.text import counted, decimals, finite, grouped, metres, nearest
 
 
 @pytest.mark.parametrize(("number", "text"), [(0, "0 trials"), (1, "1 trial"), (2, "2 trials")])
@@ -23,3 +23,8 @@ def test_what_is_not_finite_is_null_in_json_and_words_in_text(value: float | Non
 
 def test_finite_numbers_keep_their_digits() -> None:
     assert (finite(0.1), metres(0.12345), decimals(2.0, 1)) == (0.1, "0.123 m", "2.0")
+
+
+@pytest.mark.parametrize(("word", "option"), [("Turns", "turns"), ("turn", "turns"), ("yaw", "yaw_deg"), ("zzz", None)])
+def test_the_same_name_is_nearer_than_one_that_begins_with_it(word: str, option: str | None) -> None:
+    assert nearest(word, ["turns-real", "turns", "yaw_deg"]) == option
