@@ -17,7 +17,7 @@ from kraft.driving.messages import Cycle
 from kraft.driving.method import Method, load_method
 from kraft.errors import Diagnostic, InputError, KraftError, Problems, out_of_range
 from kraft.evaluation.statistics import percentile, while_driving
-from kraft.files import check_all, write_json
+from kraft.files import write_json
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
 from kraft.provenance import SIMULATION, plain, versions
@@ -88,11 +88,12 @@ def drive_robot(
         MissingDependency: if a package of the transport is missing.
     """
     out, bag = request.out, request.bag
-    spec = resolve(request)
-    check_all(
-        lambda: None if out is None else check_run_folder(out),
-        lambda: None if bag is None else check_bag(bag),
-    )
+    problems = Problems()
+    spec = problems.of(lambda: resolve(request))
+    problems.of(lambda: None if out is None else check_run_folder(out))
+    problems.of(lambda: None if bag is None else check_bag(bag))
+    problems.check()
+    assert spec is not None, "every problem was raised"
     for line in vehicle_details(spec.vehicle):
         detail(line)
     steps, heading = needs_steps(spec.method, spec.vehicle), spec.task.goal.heading is not None

@@ -12,11 +12,10 @@ from typing import Any
 from kraft.config.overrides import parse_overrides, value_text
 from kraft.driving.control import kernel_modules, needs_steps, settings_for
 from kraft.driving.messages import Cycle
-from kraft.errors import InputError
+from kraft.errors import InputError, Problems
 from kraft.evaluation.experiment import Cell, Experiment, experiment_of
 from kraft.evaluation.statistics import percentile, while_driving
 from kraft.evaluation.summary import measures_json
-from kraft.files import check_all
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
 from kraft.text import counted, finite, metres
@@ -67,9 +66,12 @@ def run_scenario(
         Defect: if a plan fails its exact verification.
     """
     timer = StageTimer(detail)
-    experiment = _experiment(request)
-    out = request.out
-    check_all(lambda: None if out is None else check_run_folder(out), request.outputs.check)
+    out, problems = request.out, Problems()
+    experiment = problems.of(lambda: _experiment(request))
+    problems.of(lambda: None if out is None else check_run_folder(out))
+    problems.of(request.outputs.check)
+    problems.check()
+    assert experiment is not None, "every problem was raised"
     cell = experiment.cells[0]
     _log_details(detail, cell)
     timer.report("loaded and checked")
@@ -113,10 +115,14 @@ def _experiment(request: RunRequest) -> Experiment:
     """Evaluation of this one trial, with its checks."""
     if not request.method:
         raise InputError.of_argument("method", "is empty", "expected the name of a method")
-    settings = parse_overrides(request.settings, "set")
-    return experiment_of(
-        [request.scenario], [request.method], settings=settings, vehicle=request.vehicle, trials=1, seed=request.seed
+    problems, names, vehicle = Problems(), ([request.scenario], [request.method]), request.vehicle
+    settings = problems.of(lambda: parse_overrides(request.settings, "set")) or ()
+    experiment = problems.of(
+        lambda: experiment_of(*names, settings=settings, vehicle=vehicle, trials=1, seed=request.seed)
     )
+    problems.check()
+    assert experiment is not None, "every problem was raised"
+    return experiment
 
 
 def run_json(run: Run) -> dict[str, Any]:

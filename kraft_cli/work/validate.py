@@ -12,7 +12,7 @@ from kraft.config import bundled
 from kraft.config.schema import Model, check
 from kraft.config.yaml_reader import Document, read_document
 from kraft.driving.method import Method, check_vehicle, load_method
-from kraft.errors import Code, Diagnostic, InputError, MissingError, Unreachable
+from kraft.errors import Code, Diagnostic, InputError, MissingError, Problems, Unreachable
 from kraft.evaluation.suite import SuiteFile, load_suite
 from kraft.logs.mapping import Mapping
 from kraft.planning.feasibility import check_placement, check_reachable
@@ -140,9 +140,7 @@ def _check_as(kind: FileKind, document: Document, path: Path) -> None:
         configured(read_vehicle_file(path))
         check_own_robot(load_vehicle(str(path)))
     elif kind == "method":
-        method = load_method(path)
-        if method.planner.vehicle is not None:
-            check_vehicle(method, _planning_vehicle(method.planner.vehicle, document, path.parent), own=True)
+        _check_method(document, path)
     elif kind == "suite":
         load_suite(path)
     elif kind == "plan":
@@ -151,6 +149,18 @@ def _check_as(kind: FileKind, document: Document, path: Path) -> None:
         _validated(_SCHEMAS[kind], document)
     else:
         read_map(path, height=0.2, name=None)
+
+
+def _check_method(document: Document, path: Path) -> None:
+    """Check a method file, and the vehicle that it names also if another key is wrong."""
+    problems = Problems()
+    method = problems.of(lambda: load_method(path))
+    planner = document.data.get("planner") if isinstance(document.data, dict) else None
+    named = planner.get("vehicle") if isinstance(planner, dict) else None
+    vehicle = problems.of(lambda: _planning_vehicle(named, document, path.parent)) if isinstance(named, str) else None
+    problems.check()
+    if method is not None and vehicle is not None:
+        check_vehicle(method, vehicle, own=True)
 
 
 def _validated(model: type[Model], document: Document) -> Model:

@@ -31,6 +31,10 @@ COMMANDS = {
     "import map nomap.yaml --start a --goal 1,2": "--start, nomap.yaml",
     "import bran X": "X, bran",
     "generate clutter --density 0.9 --count 0 --seed -1 --vehicle nope": "--count, --density, --seed, --vehicle",
+    "run nosuch --method foo --vehicle nope --seed -1 --set x --plot a.gif --video a.avi --bag a.txt --out /proc/x":
+        "--bag, --seed, --set, /proc/x, a.avi, a.gif, foo, nope, nosuch",
+    "drive nosuch --robot norobot --method foo --seed -1 --set x --bag a.txt --out /proc/x":
+        "--bag, --seed, --set, /proc/x, foo, norobot, nosuch",
     "world nosuch --robot norobot --vehicle nope --set x": "--set, nope, norobot, nosuch",
     "world nosuch --robot sim --speed 0 --video a.gif": "--speed, a.gif, nosuch",
     "generate rooms --count 10001": "--count",

@@ -11,6 +11,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from support.evaluation import places
 from support.paths import ROOT
 
 from kraft.config import bundled
@@ -66,6 +67,8 @@ def test_all_problems_of_all_files_are_shown(files: Path, capsys: pytest.Capture
         (["validate", "bad.yaml", "-q"], 2, "bad.yaml:4:32: goal.radius: is the number 0; expected a number of at least 0.001 (distance from the centre that counts as arrived, m)\nbad.yaml:5:1: colour: unknown key; expected one of name, description, bounds, obstacles, start, goal, vehicle, planning, truth, sensing, trial\n"),
         (["plan", "turnz"], 2, "turnz: there is no scenario of this name; did you mean 'turns'? (or the path of a .yaml file)\n"),
         (["plan", "turns", "--iterations", "0"], 2, "--iterations: is the number 0; expected a number of at least 1 (planning budget in iterations, repeatable; 20000 unless `time` is given)\n"),
+        (["plan", "turns.yaml"], 2, "turns.yaml: there is no such file; expected the path of a .yaml file (there is a bundled scenario 'turns')\n"),
+        (["plan", "good.yml"], 2, "good.yml: there is no such file; did you mean 'good.yaml'?\n"),
         (["list", "vehicle"], 2, "vehicle: cannot be listed; did you mean 'vehicles'?\n"),
         (["lst"], 2, "error: No such command 'lst'. Did you mean 'list'?\ntry 'kraft --help'\n"),
         (["plan", "wall.yaml"], 1, "error: the goal is unreachable: no path from the start is wide enough for the footprint\n"),
@@ -84,6 +87,15 @@ def test_messages_read_like_this(
 def test_quiet_leaves_only_the_problems(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["validate", "-q", "bad.yaml"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 2
+
+
+def test_the_vehicle_of_a_method_is_checked_beside_its_other_keys(
+    files: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    planner = "planner: {mode: replanning, margin: -1, vehicle: musrh}\n"
+    (files / "m.yaml").write_text(f"name: m\ntitle: M\n{planner}controller: {{kind: kinodynamic}}\n")
+    assert main(["validate", "m.yaml"]) == 2
+    assert places(capsys.readouterr().err) == ["m.yaml:3:37", "m.yaml:3:50", "2 problems in 1 file"]
 
 
 def test_validate_prints_one_json_object(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
