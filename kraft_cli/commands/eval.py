@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from kraft.evaluation import Evaluation
 
 Scenarios = Annotated[
-    list[str] | None, typer.Argument(metavar="[SCENARIO]...", help="Names or files; the suite paper: all six scenes.")
+    list[str] | None, typer.Argument(metavar="[SCENARIO]...", help="Names or files; the six of the suite paper.")
 ]
 Suite = Annotated[
     str | None, typer.Option(metavar="NAME|FILE", help="Scenarios of a suite (kraft list suites), with their keys set.")
