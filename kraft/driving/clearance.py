@@ -210,6 +210,9 @@ HYSTERESIS = 0.8  # share of the clearance of a level that suffices for a plan t
 STEADY = 2  # cycles with the same level after which a higher one is tried
 NARROW = (1.0, 0.5)  # parts of the smallest share that plans keep without the margin before they give up foresight
 SOON = 3.0  # cycles for which plans keep the clearance then
+PROGRESS_TIME = 2.0  # time in which plans get cheaper if the vehicle gets on (s)
+INSISTENCE = 1.25  # longest time for which less clearance may be kept for any gain, because they do not (s)
+PROGRESS = 0.4  # share of that time by which they get cheaper, at least
 
 
 @dataclass(frozen=True)
@@ -248,7 +251,7 @@ class Levels:
     """The level that the last plan keeps, and the clearances that the solvers are asked for at a level."""
 
     def __init__(self, solvers: Solvers, settings: PlannerSettings) -> None:
-        self._solvers, self._settings = solvers, settings.bound or CalibratedBound()
+        self._solvers, self._settings, self._cycle = solvers, settings.bound or CalibratedBound(), settings.cycle
         self.all = levels_of(settings)
         self.wide = sum(not level.narrow for level in self.all)
         """number of the levels at which a plan keeps the margin"""
@@ -259,6 +262,7 @@ class Levels:
         self.stalled = False
         """whether there was no progress at that level, and plans may keep less for a gain"""
         self._steady = 0  # number of cycles with this level since a higher one was tried
+        self._least, self._waited = math.inf, 0  # cost of the cheapest plan (s), and the number of cycles since then
         self.bound = DeviationBound(0.0)
 
     @property
@@ -270,6 +274,23 @@ class Levels:
     def tries_higher(self) -> bool:
         """Whether it is time to try a higher level."""
         return self.kept > 0 and self._steady >= STEADY
+
+    @property
+    def gets_on(self) -> bool:
+        """Whether plans have become cheaper lately."""
+        return self._waited * self._cycle <= PROGRESS_TIME
+
+    def note_progress(self, cost: float, rises: bool) -> None:
+        """Note the cost of a plan (s), and whether plans have become cheaper in the latest cycles.
+
+        Each plan may put off the part that asks for more clearance than there is, so that the vehicle never gets on.
+        A level with more clearance than before (`rises`) gets the whole time.  After `INSISTENCE` without success the
+        costs may have another reason, such as a weaker drive.
+        """
+        self._waited += 1
+        insists = self._waited * self._cycle > PROGRESS_TIME + INSISTENCE
+        if rises or insists or self._least - cost >= PROGRESS * PROGRESS_TIME:
+            self._least, self._waited = cost, 0
 
     def set(self, number: int, eased: bool) -> DirtSolver:
         """Ask for the clearance of a level, `eased` for the rest of a plan that keeps it; returns its solver."""

@@ -44,9 +44,6 @@ PATIENCE = 0.4  # share of the iterations after which a search without a way to 
 LEVEL_GAIN = 0.1  # share of its cost that a plan must save to keep less clearance
 LEAST_GAIN = 0.2  # that it must save at least, and that suffices where plans would get more expensive otherwise (s)
 DETOUR = 1.0  # cost of a plan beyond the cost-to-go from which on plans that keep less clearance are tried (s)
-PROGRESS_TIME = 2.0  # time in which plans get cheaper if the vehicle gets on (s)
-INSISTENCE = 1.25  # longest time for which less clearance may be kept for any gain, because they do not (s)
-PROGRESS = 0.4  # share of that time by which they get cheaper, at least
 RISE = 0.4  # that a plan may cost to keep more clearance than the last one, less than a regression (s)
 PROBES = 2  # attempts at retaining a rest at a level before it is searched at
 PROBES_HIGHER = 4  # the same when it is searched at a level above that of the last plan, whose rest is the fallback
@@ -114,7 +111,6 @@ class Proposer:
         self._recovering = False
         self._levels = Levels(solvers, settings)
         self._grown: tuple[DirtSolver, Plan] | None = None
-        self._least, self._waited = math.inf, 0  # cost of the cheapest plan (s), and the number of cycles since then
         self._budget = 0  # iterations of the cycle's largest budget that are left
 
     def set_settings(self, settings: PlannerSettings) -> None:
@@ -195,42 +191,25 @@ class Proposer:
                 break
         if proposal.plan is not None:
             cost = total_cost(proposal.plan)
-            self._note_progress(cost, rises=chosen < kept)
-            levels.keep(chosen, stalled=cost > query.left + STALLED or not self._gets_on)
+            levels.note_progress(cost, rises=chosen < kept)
+            levels.keep(chosen, stalled=cost > query.left + STALLED or not levels.gets_on)
         elif waiting:
             levels.keep(waiting[0], stalled=False)
         return proposal
 
-    def _note_progress(self, cost: float, rises: bool) -> None:
-        """Note the cost of a plan (s), and whether plans have become cheaper in the latest cycles.
-
-        Each plan may put off the part that asks for more clearance than there is, so that the vehicle never gets on.
-        A level with more clearance than before (`rises`) gets the whole time.  After `INSISTENCE` without success the
-        costs may have another reason, such as a weaker drive.
-        """
-        self._waited += 1
-        insists = self._waited * self._settings.cycle > PROGRESS_TIME + INSISTENCE
-        if rises or insists or self._least - cost >= PROGRESS * PROGRESS_TIME:
-            self._least, self._waited = cost, 0
-
-    @property
-    def _gets_on(self) -> bool:
-        """Whether plans have become cheaper lately."""
-        return self._waited * self._settings.cycle <= PROGRESS_TIME
-
     def _gain(self, proposal: Proposal, query: _Query) -> float:
         """What a plan must save to keep less clearance than the one of a proposal, s."""
-        if proposal.plan is None or not self._gets_on:
+        if proposal.plan is None or not self._levels.gets_on:
             return 0.0
         cost = total_cost(proposal.plan)
         return LEAST_GAIN if cost > query.left + STALLED else max(LEAST_GAIN, LEVEL_GAIN * cost)
 
     def _is_compared(self, number: int, following: int, found: Proposal, query: _Query) -> bool:
-        """Whether the level `following` is tried as well, because the plan found at a level is far from the cheapest one.
+        """Whether the level `following` is tried too, because the plan found at a level is far from the cheapest one.
 
         That is so if it costs more than what was left, at levels above that of the last plan and, if there was no
-        progress at it, at that level itself; and at every level if it costs much more than the cost-to-go.  Then a level
-        without the margin is only tried by a vehicle that knows its drive.
+        progress at it, at that level itself; and at every level if it costs much more than the cost-to-go.  In that
+        case only a vehicle that knows its drive tries a level without the margin.
         """
         levels = self._levels
         if found.plan is None:
@@ -249,7 +228,7 @@ class Proposer:
         waiting = levels.downwards(levels.kept)
         if levels.stalled and levels.kept + 1 not in waiting:
             waiting.insert(1, levels.kept + 1)
-        if levels.tries_higher and self._gets_on:
+        if levels.tries_higher and levels.gets_on:
             higher = levels.upwards()
             while higher[0] > 0 and self._holds(query, higher[0]) and self._holds(query, higher[0] - 1):
                 higher[0] -= 1

@@ -13,12 +13,15 @@ from support.replanner import mushr, proposals, replanner, start, turns
 
 from kraft.driving.clearance import (
     HYSTERESIS,
+    INSISTENCE,
     KNOWN_DELAY,
     LATER_DELAY,
     LATER_DELTA,
     LATER_GROWTH,
     NARROW,
     NEAR,
+    PROGRESS,
+    PROGRESS_TIME,
     SOON,
     STEADY,
     BoundCalibration,
@@ -32,11 +35,8 @@ from kraft.driving.messages import Uncertainty
 from kraft.driving.method import CalibratedBound, Clearance, PlannerSettings
 from kraft.driving.proposer import (
     DETOUR,
-    INSISTENCE,
     LEAST_GAIN,
     LEVEL_GAIN,
-    PROGRESS,
-    PROGRESS_TIME,
     RISE,
     STALLED,
     Proposal,
@@ -298,6 +298,26 @@ def test_less_clearance_is_tried_where_a_plan_costs_much_more_than_the_cost_to_g
     assert tried == ([0, 2] if is_compared else [0])
 
 
+@pytest.mark.parametrize(
+    ("bound", "is_tried"),
+    [
+        (DeviationBound(0.1, LATER_DELAY, LATER_GROWTH, 1.5), True),
+        (DeviationBound(0.1, 1.1 * LATER_DELAY, LATER_GROWTH, 1.5), False),
+        (DeviationBound(0.1, LATER_DELAY, 1.1 * LATER_GROWTH, 1.5), False),
+    ],
+)
+def test_only_a_vehicle_that_knows_its_drive_gives_up_the_margin_for_a_gain(
+    monkeypatch: pytest.MonkeyPatch, bound: DeviationBound, is_tried: bool
+) -> None:
+    proposer, plan, tried = priced(monkeypatch, {2: 20.0, 4: 10.0, 5: 20.0, 6: 20.0, 7: 20.0})
+    proposer._levels.bound, proposer._levels.kept = bound, 2
+    assert proposer._levels.wide == 3
+    proposer.propose(1, start(), replace(plan, cost=25.0))
+    assert tried[0] == 2
+    assert (len(tried) > 1) == is_tried
+    assert (proposer._levels.kept > 2) == is_tried
+
+
 def test_a_vehicle_that_does_not_get_on_takes_any_gain_of_less_clearance(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each plan costs as much as the last one, and one with less clearance only a little less."""
     monkeypatch.setattr("kraft.driving.proposer.DETOUR", math.inf)
@@ -313,16 +333,16 @@ def test_a_vehicle_that_does_not_get_on_takes_any_gain_of_less_clearance(monkeyp
 def test_a_vehicle_gets_on_only_if_plans_are_cheaper_than_the_cheapest_before() -> None:
     """Costs that rise and fall are no progress; after `INSISTENCE` the present cost counts as the cheapest one."""
     subject, _ = driven(DeviationBound(0.01), cycle=0.5)
-    proposer = subject._proposer
-    proposer._note_progress(10.0, rises=True)
+    levels = subject._proposer._levels
+    levels.note_progress(10.0, rises=True)
     found = []
     for k in range(10):
-        proposer._note_progress(11.0 if k % 2 == 0 else 9.5, rises=False)
-        found.append(proposer._gets_on)
+        levels.note_progress(11.0 if k % 2 == 0 else 9.5, rises=False)
+        found.append(levels.gets_on)
     waits, insists = math.floor(PROGRESS_TIME / 0.5), math.floor(INSISTENCE / 0.5)
     assert found == [True] * waits + [False] * insists + [True] * (10 - waits - insists)
-    proposer._note_progress(9.5 - PROGRESS * PROGRESS_TIME, rises=False)
-    assert proposer._waited == 0
+    levels.note_progress(9.5 - PROGRESS * PROGRESS_TIME, rises=False)
+    assert levels._waited == 0
 
 
 def test_the_same_rest_is_retained_in_every_run() -> None:

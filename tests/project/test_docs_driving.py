@@ -15,12 +15,15 @@ from kraft.config import bundled
 from kraft.driving.clearance import (
     COVER_EXCESS,
     HYSTERESIS,
+    INSISTENCE,
     KNOWN_DELAY,
     LATER_DELAY,
     LATER_DELTA,
     LATER_GROWTH,
     NARROW,
     NEAR,
+    PROGRESS,
+    PROGRESS_TIME,
     SOON,
     STEADY,
 )
@@ -31,13 +34,10 @@ from kraft.driving.estimation.sliding_window import DRIVE_MAX, LAG, NOTICED, PRI
 from kraft.driving.method import Adaptive, CalibratedBound, Clearance, Filter, Method, PlannerSettings, load_method
 from kraft.driving.proposer import (
     DETOUR,
-    INSISTENCE,
     LEAST_GAIN,
     LEVEL_GAIN,
     PATIENCE,
     PROBES_HIGHER,
-    PROGRESS,
-    PROGRESS_TIME,
     RISE,
     STALLED,
 )
@@ -184,6 +184,7 @@ def test_quoted_constants_are_those_in_the_code() -> None:
         f"has not reached the goal after {PATIENCE:g} `iterations` gives way",
         f"less than {RISE:g} s more than the plan that is then found at the lower level",
         f"costs over {DETOUR:g} s more than the cost-to-go of its first state", f"and at least {LEAST_GAIN:g} s;",
+        f"above {LATER_DELAY:g} s for the speed, or a growth above {LATER_GROWTH:g} m/s",
         f"{LEAST_GAIN:g} s suffice if the plan costs over {STALLED:g} s more than what was left",
     ):  # fmt: skip
         assert text in words
