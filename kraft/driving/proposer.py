@@ -208,15 +208,17 @@ class Proposer:
         """Whether the level `following` is tried too, because the plan found at a level is far from the cheapest one.
 
         That is so if it costs more than what was left, at levels above that of the last plan and, if there was no
-        progress at it, at that level itself; and at every level if it costs much more than the cost-to-go.  In that
-        case only a vehicle that knows its drive tries a level without the margin.
+        progress at it, at that level itself; and at every level if it costs much more than the cost-to-go.  Only a
+        vehicle that knows its drive, or does not get on, tries a level without the margin for that.
         """
         levels = self._levels
         if found.plan is None:
             return False
-        cost = total_cost(found.plan)
+        cost, may_be_narrow = total_cost(found.plan), levels.bound.knows_drive or not levels.gets_on
+        if number >= levels.kept and following >= levels.wide and not may_be_narrow:
+            return False
         if cost > self._solvers.planning.root_cost_to_go + DETOUR:
-            return following < levels.wide or levels.bound.knows_drive
+            return True
         if query.rest is None or number > levels.kept or (number == levels.kept and not levels.stalled):
             return False
         gains_foresight = number < levels.far <= levels.kept
