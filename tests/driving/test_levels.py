@@ -299,23 +299,40 @@ def test_less_clearance_is_tried_where_a_plan_costs_much_more_than_the_cost_to_g
 
 
 @pytest.mark.parametrize(
-    ("bound", "is_tried"),
+    ("bound", "waited", "is_tried"),
     [
-        (DeviationBound(0.1, LATER_DELAY, LATER_GROWTH, 1.5), True),
-        (DeviationBound(0.1, 1.1 * LATER_DELAY, LATER_GROWTH, 1.5), False),
-        (DeviationBound(0.1, LATER_DELAY, 1.1 * LATER_GROWTH, 1.5), False),
+        (DeviationBound(0.1, LATER_DELAY, LATER_GROWTH, 1.5), 0, True),
+        (DeviationBound(0.1, 1.1 * LATER_DELAY, LATER_GROWTH, 1.5), 0, False),
+        (DeviationBound(0.1, LATER_DELAY, 1.1 * LATER_GROWTH, 1.5), 0, False),
+        (DeviationBound(0.1, LATER_DELAY, 1.1 * LATER_GROWTH, 1.5), 3, True),
     ],
 )
-def test_only_a_vehicle_that_knows_its_drive_gives_up_the_margin_for_a_gain(
-    monkeypatch: pytest.MonkeyPatch, bound: DeviationBound, is_tried: bool
+def test_only_a_vehicle_that_knows_its_drive_or_does_not_get_on_gives_up_the_margin_for_a_gain(
+    monkeypatch: pytest.MonkeyPatch, bound: DeviationBound, waited: int, is_tried: bool
 ) -> None:
     proposer, plan, tried = priced(monkeypatch, {2: 20.0, 4: 10.0, 5: 20.0, 6: 20.0, 7: 20.0})
-    proposer._levels.bound, proposer._levels.kept = bound, 2
+    proposer._levels.bound, proposer._levels.kept, proposer._levels._waited = bound, 2, waited
     assert proposer._levels.wide == 3
     proposer.propose(1, start(), replace(plan, cost=25.0))
     assert tried[0] == 2
     assert (len(tried) > 1) == is_tried
     assert (proposer._levels.kept > 2) == is_tried
+
+
+@pytest.mark.parametrize(("saved", "level"), [(0.5 * RISE, 2), (2.0 * RISE, 3)])
+def test_a_vehicle_that_does_not_know_its_drive_keeps_a_margin_again_only_if_that_costs_little_more(
+    monkeypatch: pytest.MonkeyPatch, saved: float, level: int
+) -> None:
+    """The plan at level 2, with the margin, costs as much more as stated than that at level 3 without it."""
+    proposer, plan, tried = priced(monkeypatch, {2: 20.0, 3: 20.0 - saved})
+    proposer._levels.bound, proposer._levels.kept, proposer._levels._steady = (
+        DeviationBound(0.1, 0.3, 0.3, 1.5),
+        3,
+        STEADY,
+    )
+    proposer.propose(1, start(), replace(plan, cost=25.0))
+    assert tried == [2, 3]
+    assert proposer._levels.kept == level
 
 
 def test_a_vehicle_that_does_not_get_on_takes_any_gain_of_less_clearance(monkeypatch: pytest.MonkeyPatch) -> None:
