@@ -64,7 +64,7 @@ class DeviationBound:
         return replace(self.scaled(level.share * part), per_speed=part * (self.per_speed - spared))
 
     @property
-    def knows_drive(self) -> bool:
+    def drive_is_known(self) -> bool:
         """Whether delay and drive are known as well as is expected for later."""
         return self.per_time <= LATER_GROWTH and self.per_speed <= LATER_DELAY
 

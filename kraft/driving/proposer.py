@@ -214,7 +214,7 @@ class Proposer:
         levels = self._levels
         if found.plan is None:
             return False
-        cost, may_be_narrow = total_cost(found.plan), levels.bound.knows_drive or not levels.gets_on
+        cost, may_be_narrow = total_cost(found.plan), levels.bound.drive_is_known or not levels.gets_on
         if number >= levels.kept and following >= levels.wide and not may_be_narrow:
             return False
         if cost > self._solvers.planning.root_cost_to_go + DETOUR:

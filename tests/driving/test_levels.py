@@ -325,14 +325,11 @@ def test_a_vehicle_that_does_not_know_its_drive_keeps_a_margin_again_only_if_tha
 ) -> None:
     """The plan at level 2, with the margin, costs as much more as stated than that at level 3 without it."""
     proposer, plan, tried = priced(monkeypatch, {2: 20.0, 3: 20.0 - saved})
-    proposer._levels.bound, proposer._levels.kept, proposer._levels._steady = (
-        DeviationBound(0.1, 0.3, 0.3, 1.5),
-        3,
-        STEADY,
-    )
+    levels = proposer._levels
+    levels.bound, levels.kept, levels._steady = DeviationBound(0.1, 0.3, 0.3, 1.5), 3, STEADY
     proposer.propose(1, start(), replace(plan, cost=25.0))
     assert tried == [2, 3]
-    assert proposer._levels.kept == level
+    assert levels.kept == level
 
 
 def test_a_vehicle_that_does_not_get_on_takes_any_gain_of_less_clearance(monkeypatch: pytest.MonkeyPatch) -> None:
