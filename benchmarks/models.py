@@ -29,7 +29,7 @@ def model_of(vehicle: Vehicle) -> Model:
     if vehicle.name == "unicycle2":
         return unicycle(p["a_max"], p["alpha_max"], p["v_max"], p["omega_max"])
     if vehicle.name == "f1tenth":
-        return f1tenth(p["L"], p["phi_diff"], p["v_delta"], p["tau"], p["a_grip"])
+        return f1tenth(p["L"], p["phi_diff"], p["v_delta"], p["tau"], p["a_grip"], p["a_yaw"])
     if vehicle.name == "jackal":
         return two_sides(p["track"], p["tau"], p["tau_turn"], p["gain"])
     raise KeyError(f"there is no second model of {vehicle.name}")
@@ -48,17 +48,17 @@ def car(wheelbase: float, gain: float, lag: float, steering_scale: float, steeri
     return derivative
 
 
-def f1tenth(wheelbase: float, offset: float, gain: float, lag: float, grip: float) -> Model:
-    """Bicycle about its centre whose wheels turn at a limited rate, and which understeers near its grip."""
+def f1tenth(wheelbase: float, offset: float, gain: float, lag: float, grip: float, yaw: float) -> Model:
+    """Bicycle about its centre with limited grip and yaw acceleration, whose wheels turn at a limited rate."""
     servo_lag, servo_rate = 0.06, 3.2  # s, rad/s
 
     def derivative(x: Matrix, u: Matrix) -> Matrix:
         theta, v, delta = x[:, 2], x[:, 3], x[:, 4]
         beta = np.arctan(np.tan(delta + offset) / 2)
         curvature = 2 * np.sin(beta) / wheelbase
-        turning = v * curvature * (1 + (v**2 * curvature / grip) ** 4) ** -0.25
+        turning = v * curvature * (1 + (v**2 * curvature / grip) ** 8) ** -0.125
         rate = (u[:, 1] - delta) / servo_lag
-        rate = rate / np.hypot(1.0, rate / servo_rate)
+        rate = rate / np.hypot(1.0, rate * np.hypot(1.0 / servo_rate, v / (wheelbase * yaw)))
         rows = [v * np.cos(theta + beta), v * np.sin(theta + beta), turning, (gain * u[:, 0] - v) / lag, rate]
         return np.column_stack(rows)
 

@@ -21,7 +21,7 @@ from kraft.planning.workspace import displacement, goal_of, poses_of, settings_o
 from kraft.scenario import Task
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Obstacle
-from ompl_ext.query import Safety
+from ompl_ext.query import Goal, Safety
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
@@ -194,6 +194,24 @@ class Solvers:
         self.checking.set_parameters(values)
         if self.planning is not self.checking:
             self.planning.set_parameters(values)
+
+
+def goal_region(goal: Goal, vehicle: Vehicle, root: Floats) -> tuple[float, float]:
+    """Radius (m) and tolerance of the heading (rad) to aim for from `root` (nx,): smaller ones within the goal.
+
+    A vehicle that is in the goal by its estimate, but not in truth, would wait there.  It aims for half of its
+    distance to the centre, or of its deviation from the heading if that is the one closer to its limit.
+    """
+    if (goal.has_heading or goal.limits) and not goal.contains(vehicle, root):
+        return goal.radius, goal.tolerance  # it has to turn or to stop on the way to the centre
+    away = math.dist(goal.center, (root[vehicle.index("x")], root[vehicle.index("y")]))
+    radius = max(MIN_GOAL_RADIUS, min(goal.radius, 0.5 * away))
+    if not goal.has_heading:
+        return radius, goal.tolerance
+    off = abs(math.remainder(root[vehicle.index("theta")] - goal.heading, math.tau))
+    if off / goal.tolerance <= away / goal.radius:
+        return radius, goal.tolerance
+    return goal.radius, max(MIN_GOAL_TOLERANCE, 0.5 * off)
 
 
 def method_safety(settings: PlannerSettings) -> Safety:

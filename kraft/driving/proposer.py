@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kraft.driving.clearance import MIN_GOAL_RADIUS, MIN_GOAL_TOLERANCE, DeviationBound, Levels, Solvers
+from kraft.driving.clearance import DeviationBound, Levels, Solvers, goal_region
 from kraft.driving.command_loss import CommandLoss
 from kraft.driving.contingencies import least_slack
 from kraft.driving.geodesic import geodesic_plan
@@ -34,6 +34,7 @@ from kraft.text import counted
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.query_tree import Progress
+from ompl_ext.retainment import RetainableEdges
 from ompl_ext.solver import DirtSolver
 from ompl_ext.verification import verify
 
@@ -88,6 +89,18 @@ class _Query:
         return math.inf if self.rest is None else self.rest.left
 
 
+@dataclass(frozen=True)
+class _Grown:
+    """A plan, the solver that found it, and the edges of its tree that the next cycle retains, if any.
+
+    They are taken at once: the search at another level replaces the tree of the solver.
+    """
+
+    dirt: DirtSolver
+    plan: Plan
+    edges: RetainableEdges | None
+
+
 class Proposer:
     """Searches the plan for the next cycle; `dirt` is the solver without margin, `loss` predicts a loss of commands."""
 
@@ -110,7 +123,7 @@ class Proposer:
         self._delta = self.dirt.safety.delta
         self._recovering = False
         self._levels = Levels(solvers, settings)
-        self._grown: tuple[DirtSolver, Plan] | None = None
+        self._grown: _Grown | None = None
         self._budget = 0  # iterations of the cycle's largest budget that are left
 
     def set_settings(self, settings: PlannerSettings) -> None:
@@ -128,7 +141,7 @@ class Proposer:
         began, settings = clock.perf_counter(), self._settings
         if settings.type == "geodesic":
             return self._propose_geodesic(root, previous is not None, began)
-        region = self._goal_region(root)
+        region = goal_region(self._goal, self.dirt.vehicle, root)
         for dirt in (self._solvers.planning, self._solvers.checking):
             dirt.set_goal_region(*region)
         query = _Query(number, root, self._rest(previous), began)
@@ -148,10 +161,10 @@ class Proposer:
             found = self._search(query, dirt, share)
             if self._grown is None or _is_better(found, proposal, self._settings.switch_gain):
                 proposal = found
-                self._grown = None if found.plan is None else (dirt, found.plan)
+                self._grown = self._grown_of(dirt, found.plan)
             if proposal.plan is None:
                 continue
-            if last is None or dirt is last[0] or not self._is_worse(proposal, query.rest):
+            if last is None or dirt is last.dirt or not self._is_worse(proposal, query.rest):
                 break
         return proposal
 
@@ -168,7 +181,7 @@ class Proposer:
         elif self._recovers(query.root, was_recovering):
             self._recovering = True
             proposal = self._search(query, self.dirt, 1.0, is_last=True)
-            self._grown = None if proposal.plan is None else (self.dirt, proposal.plan)
+            self._grown = self._grown_of(self.dirt, proposal.plan)
         return replace(proposal, iterations=self._settings.largest_budget - self._budget)
 
     def _search_at_levels(self, query: _Query) -> Proposal:
@@ -186,7 +199,7 @@ class Proposer:
             gain = RISE if chosen < kept else self._gain(proposal, query)
             if proposal.plan is None or _is_better(found, proposal, gain):
                 proposal, chosen = replace(found, kept=levels.all[number].share), number
-            self._grown = (dirt, found.plan) if chosen == number and found.plan is not None else None
+                self._grown = self._grown_of(dirt, found.plan)
             if _leads_to_goal(proposal) and not (waiting and self._is_compared(number, waiting[0], found, query)):
                 break
         if proposal.plan is not None:
@@ -255,31 +268,13 @@ class Proposer:
         Whether the controller finds a safe way is known only when the replanner predicts it.
         """
         dirt = self.dirt
-        dirt.set_goal_region(*self._goal_region(root))
+        dirt.set_goal_region(*goal_region(self._goal, dirt.vehicle, root))
         if self._settings.bound is not None:
             self._levels.drive_on(drives)
             self._levels.require()
         plan = geodesic_plan(dirt, root)
         reason = "" if plan is not None else "no path leads to the goal from the predicted start of the cycle"
         return Proposal(plan, reason, seconds=clock.perf_counter() - began, kept=self._levels.share)
-
-    def _goal_region(self, root: Floats) -> tuple[float, float]:
-        """Radius (m) and tolerance of the heading (rad) to aim for: smaller ones for a vehicle in the goal already.
-
-        A vehicle that is in the goal by its estimate, but not in truth, would wait there.  It aims for half of its
-        distance to the centre, or of its deviation from the heading if that is the one closer to its limit.
-        """
-        goal, vehicle = self._goal, self.dirt.vehicle
-        if (goal.has_heading or goal.limits) and not goal.contains(vehicle, root):
-            return goal.radius, goal.tolerance  # it has to turn or to stop on the way to the centre
-        away = math.dist(goal.center, (root[vehicle.index("x")], root[vehicle.index("y")]))
-        radius = max(MIN_GOAL_RADIUS, min(goal.radius, 0.5 * away))
-        if not goal.has_heading:
-            return radius, goal.tolerance
-        off = abs(math.remainder(root[vehicle.index("theta")] - goal.heading, math.tau))
-        if off / goal.tolerance <= away / goal.radius:
-            return radius, goal.tolerance
-        return goal.radius, max(MIN_GOAL_TOLERANCE, 0.5 * off)
 
     def set_bound(self, bound: DeviationBound) -> None:
         """Set the bound of the deviation; the share that the last plan kept is asked for until the next proposal."""
@@ -319,10 +314,17 @@ class Proposer:
         settings = self._settings
         if previous is None or previous.cost <= settings.cycle:
             return None
-        edges = None
-        if settings.retain == "tree" and self._grown is not None and self._grown[1] is previous:
-            edges = self._grown[0].retainable_edges(previous, settings.cycle, settings.iterations)
-        return Rest(previous, settings.cycle, edges)
+        grown = self._grown
+        return Rest(previous, settings.cycle, grown.edges if grown is not None and grown.plan is previous else None)
+
+    def _grown_of(self, dirt: DirtSolver, plan: Plan | None) -> _Grown | None:
+        """The plan of a solver's tree, with what the next cycle retains of the tree if the settings say so."""
+        settings, edges = self._settings, None
+        if plan is None:
+            return None
+        if settings.retain == "tree" and plan.cost > settings.cycle:
+            edges = dirt.retainable_edges(plan, settings.cycle, settings.iterations)
+        return _Grown(dirt, plan, edges)
 
     def _is_worse(self, proposal: Proposal, rest: Rest | None) -> bool:
         """Whether a plan replaces a lost rest and costs more; if a gain is required, the rest's solver is asked."""

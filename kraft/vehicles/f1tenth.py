@@ -2,8 +2,9 @@
 
 State [x, y, theta, v, delta] of the point midway between the axles (m, rad, m/s) with the wheels' angle delta (rad);
 controls [throttle, steering] with the steering angle in rad.  Parameters: wheelbase L (m), steering angle when
-commanded straight phi_diff (rad), speed at full throttle v_delta (m/s), its time constant tau (s), and the largest
-lateral acceleration a_grip (m/s^2), near which the car understeers.
+commanded straight phi_diff (rad), speed at full throttle v_delta (m/s), its time constant tau (s), the largest lateral
+acceleration a_grip (m/s^2), near which the car understeers, and the largest yaw acceleration a_yaw (rad/s^2): the front
+tyres give the torque that starts and ends a turn, so that the angle delta that acts changes more slowly at high speed.
 """
 
 from __future__ import annotations
@@ -41,10 +42,11 @@ def motion(x: Values, u: Values, p: Values) -> Values:
     beta = atan(0.5 * tan(delta + p[1]))
     wanted = 2.0 * sin(beta) / p[0]  # curvature at walking pace
     demand = v * v * wanted / p[4]
-    curvature = wanted / sqrt(sqrt(1.0 + demand * demand * demand * demand))
+    fourth = demand * demand * demand * demand
+    curvature = wanted / sqrt(sqrt(sqrt(1.0 + fourth * fourth)))
     rate = (steering - delta) / SERVO_LAG
-    share = rate / STEERING_RATE
-    rate = rate / sqrt(1.0 + share * share)  # smooth, so that its derivatives exist
+    share, turning = rate / STEERING_RATE, rate * v / (p[0] * p[5])
+    rate = rate / sqrt(1.0 + share * share + turning * turning)  # smooth, so that its derivatives exist
     return v * cos(theta + beta), v * sin(theta + beta), v * curvature, (target - v) / p[3], rate
 
 
@@ -65,7 +67,7 @@ F1TENTH = Vehicle(
     manoeuvres=("straight", "left", "right", "hard-left", "hard-right"),
     state=("x", "y", "theta", "v", "delta"),
     controls={"throttle": (REVERSE, 1.0), "steering": (-STEERING_MAX, STEERING_MAX)},
-    parameters={"L": 0.33, "phi_diff": 0.0, "v_delta": 3.0, "tau": 0.5, "a_grip": 12.0},
+    parameters={"L": 0.33, "phi_diff": 0.0, "v_delta": 3.0, "tau": 0.5, "a_grip": 9.0, "a_yaw": 25.0},
     footprint=Footprint(0.58, 0.31),
     top_speed=3.0,
 )

@@ -375,6 +375,19 @@ def test_a_rest_that_is_kept_costs_no_more_than_what_was_left() -> None:
     assert all(after <= before - 1.0 + RETAINED_TOLERANCE for before, after in itertools.pairwise(costs))
 
 
+def test_a_plan_keeps_its_tree_when_less_clearance_is_searched_for_and_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kraft.driving.proposer.DETOUR", -math.inf)  # so that levels below are searched at too
+    monkeypatch.setattr("kraft.driving.proposer.LEVEL_GAIN", math.inf)
+    subject, found = driven(DeviationBound(0.04), DeviationBound(0.04))
+    proposer, plan = subject._proposer, found[-1].plan
+    assert found[0].iterations > 600
+    assert plan is not None
+    rest = proposer._rest(plan)
+    assert rest is not None
+    assert rest.edges is not None
+    assert len(rest.edges.durations) > rest.edges.rest  # and edges that begin on it
+
+
 # In the replanner
 
 

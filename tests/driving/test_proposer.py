@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from support.replanner import BESIDE_THE_WALL, FARSIGHTED, MARGIN, drive, mushr, replanner, start, turns
 
-from kraft.driving.clearance import MIN_GOAL_RADIUS, Solvers
+from kraft.driving.clearance import MIN_GOAL_RADIUS, Solvers, goal_region
 from kraft.driving.messages import ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings
-from kraft.driving.proposer import RECOVERY_MARGIN, Proposer
+from kraft.driving.proposer import RECOVERY_MARGIN
 from kraft.errors import Defect
+from kraft.planning.workspace import goal_of
 from kraft.scenario import load_scenario
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.plan import Plan
@@ -152,11 +153,9 @@ def test_a_goal_with_a_heading_shrinks_only_for_a_vehicle_in_it_where_it_is_near
     away: float, off_deg: float, radius: float, tolerance_deg: float
 ) -> None:
     heading = {"goal.heading_deg": 90.0, "goal.heading_tolerance_deg": 10.0}
-    settings = PlannerSettings(mode="replanning")
-    ours = Solvers.of(load_scenario("turns", heading).task(), mushr(), settings)
+    goal = goal_of(load_scenario("turns", heading).task())
     state = np.array([1.0, 5.0 - away, math.radians(90.0 + off_deg), 0.0])
-    found = Proposer(ours, settings, 0)._goal_region(state)
-    assert found == pytest.approx((radius, math.radians(tolerance_deg)))
+    assert goal_region(goal, mushr(), state) == pytest.approx((radius, math.radians(tolerance_deg)))
 
 
 def test_what_is_verified_is_all_that_may_be_executed(monkeypatch: pytest.MonkeyPatch) -> None:

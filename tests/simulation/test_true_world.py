@@ -191,6 +191,20 @@ def test_tyres_with_less_grip_slide_in_a_turn() -> None:
     assert radii[1] > 2.0 * radii[0]
 
 
+@pytest.mark.parametrize("steering", [0.1, 0.2, 0.3, 0.4189])
+def test_the_model_of_the_f1tenth_predicts_the_beginning_of_a_turn_at_top_speed(steering: float) -> None:
+    model, steps = model_of(vehicle("f1tenth")), 5
+    world = drive(world_of(hall("car: {preset: f1tenth}"), vehicle("f1tenth"), 0), (1.0, 0.0), 4.0)
+    state = np.array([*world.pose, world.speed, 0.0])
+    for _ in range(steps):
+        drive(world, (1.0, steering), 0.05)
+        state = model.advance(state, np.array([1.0, steering]), 0.05)
+    away = math.dist(state[:2], world.pose[:2])
+    turned = math.degrees(abs(math.remainder(state[2] - world.pose[2], math.tau)))
+    assert away < 0.06  # of 0.75 m
+    assert turned < 7.0  # of up to 33 degrees: without its limit of the yaw acceleration it turns 11 degrees too far
+
+
 # a robot of an MJCF file
 
 
