@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import NamedTuple
@@ -32,7 +32,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
 from ompl_ext.obstacles import Circle, Polygon
 
 TILE = 16  # cells along the side of a tile
-FILL_THREADS = min(4, os.cpu_count() or 1)
+THREADS = min(4, os.cpu_count() or 1)
 TILES = 8  # tiles along the side of a block
 VERTICES = (TILE + 1) * (TILE + 1)  # of a tile; neighbours have those on their common side twice
 LARGEST_SPACINGS = 255  # distance in spacings that a vertex can store
@@ -130,15 +130,25 @@ def fine_field(
             lines, values = np.empty((2, length), np.float32), np.empty(length * divisions, np.uint16)
             _fill_tiles(*free, divisions, window, most, tile, *rows, *offset, squares, lines, values)
 
-        cuts = np.linspace(0, shape[0], FILL_THREADS + 1).astype(int).tolist()
-        with ThreadPoolExecutor(FILL_THREADS) as pool:
-            list(pool.map(fill, pairwise(cuts)))
+        _in_parallel(fill, shape[0])
     if len(obstacles):
-        numbers = np.empty((3, len(obstacles)), np.int32)
-        numbers[2] = np.arange(len(obstacles))
-        gap, work = np.empty(len(obstacles)), np.empty((5, VERTICES))
-        _lower_tiles(shapes(obstacles), tile, squares, np.array(lattice), most, numbers, gap, work)
+        all_shapes = shapes(obstacles)
+
+        def lower(blocks: tuple[int, int]) -> None:
+            numbers = np.empty((3, len(obstacles)), np.int32)
+            numbers[2] = np.arange(len(obstacles))
+            gap, work = np.empty(len(obstacles)), np.empty((5, VERTICES))
+            _lower_tiles(all_shapes, tile, *blocks, squares, np.array(lattice), most, numbers, gap, work)
+
+        _in_parallel(lower, math.ceil(shape[0] / TILES))
     return FineField(lattice, tile, squares)
+
+
+def _in_parallel(work: Callable[[tuple[int, int]], None], count: int) -> None:
+    """Do `work` for `count` rows, in as many ranges from a row to before another as there are threads."""
+    cuts = np.linspace(0, count, THREADS + 1).astype(int).tolist()
+    with ThreadPoolExecutor(THREADS) as pool:
+        list(pool.map(work, pairwise(cuts)))
 
 
 @compiled
@@ -256,6 +266,8 @@ def _lower_line(
 def _lower_tiles(
     all_shapes: Shapes,
     tile: IntMatrix32,
+    first_block: int,
+    end_block: int,
     squares: Words16Matrix,
     lattice: Floats,
     most: int,
@@ -263,14 +275,14 @@ def _lower_tiles(
     gap: Floats,
     work: Matrix,
 ) -> None:
-    """Lower the squares of all stored tiles to the squared distances to shapes, rounded down.
+    """Lower the squares of stored tiles to the squared distances to shapes, rounded down.
 
-    `numbers` (3, shapes) are those near a block of tiles, near a tile, and all; `gap` (shapes,) and `work`
-    (5, VERTICES) are working memory.
+    The tiles are those in the rows of blocks from `first_block` to before `end_block`.  `numbers` (3, shapes) are the
+    shapes near a block of tiles, near a tile, and all; `gap` (shapes,) and `work` (5, VERTICES) are working memory.
     """
     x0, y0, c, s, spacing = lattice[0], lattice[1], lattice[2], lattice[3], lattice[4]
     count, half = len(gap), 0.5 * TILE * spacing * math.sqrt(2.0)
-    for top in range(0, tile.shape[0], TILES):
+    for top in range(first_block * TILES, min(end_block * TILES, tile.shape[0]), TILES):
         for left in range(0, tile.shape[1], TILES):
             u, v = (left + 0.5 * TILES) * TILE * spacing, (top + 0.5 * TILES) * TILE * spacing
             x, y = x0 + u * c - v * s, y0 + u * s + v * c
