@@ -225,6 +225,7 @@ def method_safety(settings: PlannerSettings) -> Safety:
 
 
 HYSTERESIS = 0.8  # share of the clearance of a level that suffices for a plan that was made for this level
+PAUSE = 3  # cycles for which plans are not compared after one that keeps less was refused
 STEADY = 2  # cycles with the same level after which a higher one is tried
 NARROW = (1.0, 0.5)  # parts of the smallest share that plans keep without the margin before they give up foresight
 SOON = 3.0  # cycles for which plans keep the clearance then
@@ -281,6 +282,7 @@ class Levels:
         """whether there was no progress at that level, and plans may keep less for a gain"""
         self._steady = 0  # number of cycles with this level since a higher one was tried
         self._least, self._waited = math.inf, 0  # cost of the cheapest plan (s), and the number of cycles since then
+        self._pause = 0  # number of cycles until plans are compared again
         self.bound = DeviationBound(0.0)
 
     @property
@@ -297,6 +299,15 @@ class Levels:
     def gets_on(self) -> bool:
         """Whether plans have become cheaper lately."""
         return self._waited * self._cycle <= PROGRESS_TIME
+
+    @property
+    def compares(self) -> bool:
+        """Whether plans are compared with ones that keep less, to find out whether these save enough."""
+        return self._pause == 0
+
+    def note_comparison(self, refused: bool) -> None:
+        """Note whether a plan that keeps less was refused: in the next cycles the same is likely."""
+        self._pause = PAUSE if refused else max(0, self._pause - 1)
 
     def note_progress(self, cost: float, rises: bool) -> None:
         """Note the cost of a plan (s), and whether plans have become cheaper in the latest cycles.

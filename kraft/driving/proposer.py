@@ -187,7 +187,7 @@ class Proposer:
     def _search_at_levels(self, query: _Query) -> Proposal:
         """Plan of the first level that leaves a way to the goal, or of a later one that saves enough."""
         levels, rest = self._levels, query.rest
-        kept, chosen, proposal = levels.kept, levels.kept, Proposal(None)
+        kept, chosen, proposal, refused = levels.kept, levels.kept, Proposal(None), False
         waiting, self._grown = self._first_levels(query), None
         while waiting and self._budget > 0:
             number = waiting.pop(0)
@@ -197,14 +197,16 @@ class Proposer:
             if number < kept and not _leads_to_goal(found):
                 continue
             gain = RISE if chosen < kept else self._gain(proposal, query)
+            refused = proposal.plan is not None
             if proposal.plan is None or _is_better(found, proposal, gain):
-                proposal, chosen = replace(found, kept=levels.all[number].share), number
+                proposal, chosen, refused = replace(found, kept=levels.all[number].share), number, False
                 self._grown = self._grown_of(dirt, found.plan)
             if _leads_to_goal(proposal) and not (waiting and self._is_compared(number, waiting[0], found, query)):
                 break
         if proposal.plan is not None:
             cost = total_cost(proposal.plan)
             levels.note_progress(cost, rises=chosen < kept)
+            levels.note_comparison(refused)
             levels.keep(chosen, stalled=cost > query.left + STALLED or not levels.gets_on)
         elif waiting:
             levels.keep(waiting[0], stalled=False)
@@ -230,7 +232,7 @@ class Proposer:
         cost, may_be_narrow = total_cost(found.plan), levels.bound.drive_is_known or not levels.gets_on
         if number >= levels.kept and following >= levels.wide and not may_be_narrow:
             return False
-        if cost > self._solvers.planning.root_cost_to_go + DETOUR:
+        if levels.compares and cost > self._solvers.planning.root_cost_to_go + DETOUR:
             return True
         if query.rest is None or number > levels.kept or (number == levels.kept and not levels.stalled):
             return False

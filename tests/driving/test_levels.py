@@ -20,6 +20,7 @@ from kraft.driving.clearance import (
     LATER_GROWTH,
     NARROW,
     NEAR,
+    PAUSE,
     PROGRESS,
     PROGRESS_TIME,
     SOON,
@@ -296,6 +297,20 @@ def test_less_clearance_is_tried_where_a_plan_costs_much_more_than_the_cost_to_g
     proposer, _, tried = priced(monkeypatch, {0: least + beyond, 2: least})
     proposer.propose(0, start(), None)
     assert tried == ([0, 2] if is_compared else [0])
+
+
+def test_after_a_refused_plan_the_next_cycles_do_not_try_less_clearance_for_the_same_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    proposer, plan, tried = priced(monkeypatch, dict.fromkeys(range(8), 20.0))
+    numbers = []
+    for number in range(2 * (PAUSE + 1)):
+        tried.clear()
+        proposer.propose(number, start(), replace(plan, cost=21.0))
+        numbers.append(len(tried))
+    assert proposer._levels.kept == 0
+    assert numbers[0] > 1
+    assert numbers == [numbers[0], *[1] * PAUSE] * 2
 
 
 @pytest.mark.parametrize(

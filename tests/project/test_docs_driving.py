@@ -22,6 +22,7 @@ from kraft.driving.clearance import (
     LATER_GROWTH,
     NARROW,
     NEAR,
+    PAUSE,
     PROGRESS,
     PROGRESS_TIME,
     SOON,
@@ -184,6 +185,7 @@ def test_quoted_constants_are_those_in_the_code() -> None:
         f"has not reached the goal after {PATIENCE:g} `iterations` gives way",
         f"less than {RISE:g} s more than the plan that is then found at the lower level",
         f"costs over {DETOUR:g} s more than the cost-to-go of its first state", f"and at least {LEAST_GAIN:g} s;",
+        f"no level is tried for the cost-to-go in the next {PAUSE:g} cycles",
         f"above {LATER_DELAY:g} s for the speed, or a growth above {LATER_GROWTH:g} m/s",
         f"{LEAST_GAIN:g} s suffice if the plan costs over {STALLED:g} s more than what was left",
     ):  # fmt: skip
