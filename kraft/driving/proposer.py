@@ -223,8 +223,9 @@ class Proposer:
         """Whether the level `following` is tried too, because the plan found at a level is far from the cheapest one.
 
         That is so if it costs more than what was left, at levels above that of the last plan and, if there was no
-        progress at it, at that level itself; and at every level if it costs much more than the cost-to-go.  Only a
-        vehicle that knows its drive, or does not get on, tries a level without the margin for that.
+        progress at it, at that level itself; and at every level if it costs much more than the cost-to-go and no plan
+        was refused in the latest cycles.  Only a vehicle that knows its drive, or does not get on, tries a level
+        without the margin for that.
         """
         levels = self._levels
         if found.plan is None:

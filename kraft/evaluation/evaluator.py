@@ -108,7 +108,7 @@ def evaluate(
     if out is not None:
         problems.of(lambda: (check_exists if resume else check_new)(Path(out)))
     if scenarios is not None and suite is not None:
-        problem, expected = "is given together with scenarios", "expected one of both"
+        problem, expected = "is given together with scenarios", "expected either one"
         problems.found.append(Diagnostic("suite", problem, expected, code=Code.CONFLICT, argument=True))
         problems.of(lambda: entries_of(scenarios, settings=settings, vary=vary))
     experiment = problems.of(
