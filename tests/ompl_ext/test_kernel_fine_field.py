@@ -186,3 +186,14 @@ def test_polygons_beside_a_map_keep_their_corners() -> None:
     dirt = pinned_disc(workspace)
     points = np.array([[2.3 + 0.2, 2.02], [2.0 - 0.2, 2.02], [2.1, 2.3]])
     assert np.all(bounds_at(dirt, points) <= true_distances(workspace, points) + 1e-7)
+
+
+def test_the_fine_field_is_the_same_on_any_number_of_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    workspace = scene(4, 0.1, 0.3, Circle(np.array([3.0, 3.0]), 0.3), box((0.0, 3.0), (1.0, 0.4), 0.5))
+    found = []
+    for threads in (1, 3):
+        monkeypatch.setattr("ompl_ext.kernels.fine_field.THREADS", threads)
+        _, fine = fields(workspace, FOOTPRINT, cover(FOOTPRINT).radius, LOSS)
+        assert fine is not None
+        found.append((fine.tile.tobytes(), fine.squares.tobytes()))
+    assert found[0] == found[1]
