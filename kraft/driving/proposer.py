@@ -147,7 +147,7 @@ class Proposer:
         query = _Query(number, root, self._rest(previous), began)
         proposal = self._propose_in_turn(query) if settings.bound is None else self._propose_at_levels(query)
         seconds = clock.perf_counter() - began
-        missed = seconds > settings.cycle - settings.lead
+        missed = number > 0 and seconds > settings.cycle - settings.lead  # the first plan is made before the drive
         if self._realtime and missed:
             reason = f"planning took {seconds:.3f} s, longer than the cycle allows"
             return replace(proposal, plan=None, reason=reason, seconds=seconds, missed=True)

@@ -199,6 +199,21 @@ def test_a_plan_that_comes_too_late_is_dropped_in_real_time(monkeypatch: pytest.
     assert "planning took 5.000 s" in proposal.reason
 
 
+@pytest.mark.parametrize("realtime", [False, True])
+def test_the_first_plan_which_is_made_before_the_drive_is_never_late(
+    monkeypatch: pytest.MonkeyPatch, realtime: bool
+) -> None:
+    subject = replanner(cycle=0.2, lead=0.0)
+    subject._proposer._realtime = realtime
+    late = itertools.chain([0.0, 0.0], itertools.repeat(5.0))
+    monkeypatch.setattr("kraft.driving.proposer.clock.perf_counter", lambda: next(late))
+    monkeypatch.setattr(subject.dirt, "grow", lambda grow=subject.dirt.grow, **_: grow(iterations=300))
+    proposal = subject._proposer.propose(0, start(), None)
+    assert proposal.seconds == 5.0
+    assert proposal.plan is not None
+    assert not proposal.missed
+
+
 def test_by_the_clock_a_search_without_the_margin_has_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search with the margin finds nothing: half of the time is its, the rest that of the one without."""
     subject = replanner(margin=0.03, cycle=0.5, lead=0.05)
