@@ -321,7 +321,10 @@ class Proposer:
         return Rest(previous, settings.cycle, grown.edges if grown is not None and grown.plan is previous else None)
 
     def _grown_of(self, dirt: DirtSolver, plan: Plan | None) -> _Grown | None:
-        """The plan of a solver's tree, with what the next cycle retains of the tree if the settings say so."""
+        """The plan of a solver's tree, with what the next cycle retains of the tree if the settings say so.
+
+        That is at most as many edges as the search had iterations: more of the tree of the first plan.
+        """
         settings, edges = self._settings, None
         if plan is None:
             return None
