@@ -11,8 +11,8 @@ from support.adaptive import BEGIN, correlated, driven, exciting, pose_at, vehic
 from support.driving import RATE
 
 from kraft.driving.estimation import LevelCamera
-from kraft.driving.estimation.adaptive import HOLDS, AdaptiveEstimator, online_parameters
-from kraft.driving.estimation.sliding_window import ConstantOfDrive
+from kraft.driving.estimation.adaptive import HOLDS, AdaptiveEstimator, Learned, online_parameters
+from kraft.driving.estimation.sliding_window import ConstantOfDrive, Drive, Identified
 from kraft.driving.method import Adaptive
 from kraft.driving.vehicle_model import CarModel
 from kraft.scenario import Sensing
@@ -24,6 +24,7 @@ from kraft.vehicles import GRAVITY
 from ompl_ext.arrays import Floats
 
 CAMERA = LevelCamera((1.0, 3.0, 5.0), MARKER_HEIGHT, (0.0, 0.0))
+EXACT = np.zeros((2, 2))
 SLOPES = [np.array([0.0, 0.0]), np.array([0.0, 0.15]), np.array([-0.1, 0.05])]
 
 
@@ -183,7 +184,7 @@ def test_windows_of_a_drive_that_do_not_overlap_are_joined() -> None:
     joined = ConstantOfDrive(std)
     for k, (mean, told) in enumerate(zip(means, information, strict=True)):
         of_window = np.linalg.inv(told + prior)
-        result = joined.update(10.0 * k, 10.0 * k + 9.0, of_window @ (told @ mean), of_window)
+        result = joined.update(10.0 * k, 10.0 * k + 9.0, of_window @ (told @ mean), of_window, EXACT)
     total = np.linalg.inv(sum(information) + prior)
     assert result[1] == pytest.approx(total)
     assert result[0] == pytest.approx(total @ sum(a @ m for a, m in zip(information, means, strict=True)))
@@ -192,5 +193,36 @@ def test_windows_of_a_drive_that_do_not_overlap_are_joined() -> None:
 def test_windows_of_a_drive_that_overlap_count_once() -> None:
     joined, mean, covariance = ConstantOfDrive(np.ones(2)), np.array([0.3, -0.1]), 0.1 * np.eye(2)
     for end in (5.0, 5.0, 6.0):
-        assert joined.update(0.0, end, mean, covariance) == (pytest.approx(mean), pytest.approx(covariance))
-    assert np.trace(joined.update(5.5, 12.0, mean, covariance)[1]) < 0.15
+        assert joined.update(0.0, end, mean, covariance, EXACT) == (pytest.approx(mean), pytest.approx(covariance))
+    assert np.trace(joined.update(5.5, 12.0, mean, covariance, EXACT)[1]) < 0.15
+
+
+def test_an_error_of_a_window_adds_to_the_covariance_of_what_its_data_tell() -> None:
+    std, mean, error = np.array([0.25, 0.5]), np.array([0.3, -0.1]), np.array([[0.2, 0.05], [0.05, 0.4]])
+    of_data, prior = np.array([[0.1, 0.02], [0.02, 0.3]]), np.diag(std**-2)
+    of_window = np.linalg.inv(np.linalg.inv(of_data) + prior)
+    told = np.linalg.inv(of_data + error)
+    found = ConstantOfDrive(std).update(0.0, 9.0, of_window @ np.linalg.solve(of_data, mean), of_window, error)
+    assert found[1] == pytest.approx(np.linalg.inv(told + prior))
+    assert found[0] == pytest.approx(found[1] @ told @ mean)
+
+
+def test_data_that_tell_nothing_leave_the_prior_whatever_their_error() -> None:
+    prior = np.diag([0.25, 0.5]) ** 2
+    mean, covariance = ConstantOfDrive(np.array([0.25, 0.5])).update(0.0, 9.0, np.zeros(2), prior, np.eye(2))
+    assert mean == pytest.approx(np.zeros(2))
+    assert covariance == pytest.approx(prior)
+
+
+@pytest.mark.parametrize(("turn", "across", "along"), [(0.1, 3.2, 0.25), (1.5, 0.32, 0.40)])
+def test_a_force_across_the_drive_is_uncertain_unless_the_vehicle_turns(
+    turn: float, across: float, along: float
+) -> None:
+    """A box that is pushed after a slight turn looks like a force across the drive that was always there."""
+    times = np.linspace(0.0, 10.0, 301)
+    yaw = 0.5 * math.pi + turn * np.sin(times)
+    drive = Drive(times, np.column_stack([times, times, yaw]), np.zeros((301, 4)), times, np.zeros((301, 2)))
+    empty = np.zeros(0)
+    identified = Identified(empty, np.zeros((0, 0)), times, np.zeros((301, 3)), empty, np.zeros((0, 0)))
+    deviations = np.sqrt(np.diag(Learned.of(identified, drive).passing_force))
+    assert deviations == pytest.approx([across, along], rel=0.1)

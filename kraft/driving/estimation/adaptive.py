@@ -31,6 +31,7 @@ from kraft.driving.estimation.pose_filter import (
 from kraft.driving.estimation.sliding_window import (
     DRIVE_MAX,
     ConstantOfDrive,
+    Drive,
     DriveHistory,
     Identified,
     NoiseEstimate,
@@ -63,16 +64,43 @@ SLOW: Final = 0.2
 """Speed or turning rate below which identified parameters are used at once, m/s or rad/s."""
 HOLDS: Final = 0.8
 """Largest force in use, as a share of what the drive can hold at rest."""
+PASSING_FORCE: Final = 0.5
+"""Standard deviation of a force that comes and goes, such as that of a box that the vehicle pushes, m/s^2."""
+PASSING_TIME: Final = 2.5
+"""Time for which such a force stays the same, s."""
+LEAST_TURN: Final = 1e-3
+"""Share of the motion that counts as across its mean direction, at least: forces there hardly show."""
 MOVED_AFTER: Final = 1.0
 """Time with larger errors of poses than the noise explains after which the vehicle may have been moved instead, s."""
 
 
 @dataclass(frozen=True)
 class Learned:
-    """Result of the identification, and the interval between the poses that it rests on, s."""
+    """Result of the identification, and of the poses that it rests on their interval (s) and `directions`.
+
+    `directions` (2, 2) is the mean of u u^T, where u is the direction of the heading.
+    """
 
     identified: Identified
     interval: float
+    directions: Matrix
+
+    @classmethod
+    def of(cls, identified: Identified, drive: Drive) -> Learned:
+        """What was identified from a drive."""
+        yaw = np.interp(identified.times, drive.times, drive.poses[:, 2])
+        along = np.array([np.cos(yaw), np.sin(yaw)])
+        return cls(identified, drive.interval, along @ along.T / len(yaw))
+
+    @property
+    def passing_force(self) -> Matrix:
+        """Covariance (2, 2) of a constant force along x and y, by forces that come and go while it is measured.
+
+        A vehicle feels the force along its heading.  Two headings that hardly differ tell the forces along x and y
+        apart only if nothing else has changed in between.
+        """
+        times = max(1.0, self.interval * len(self.identified.times) / PASSING_TIME)
+        return PASSING_FORCE**2 / times * np.linalg.inv(self.directions + LEAST_TURN * np.eye(2))
 
 
 class AdaptiveEstimator:
@@ -175,7 +203,7 @@ class AdaptiveEstimator:
             drive = replace(drive, poses=self._camera.on_floor(drive.poses, self._filter.floor))
         identified = self._window.update(drive, self._history.moving, partial(self._noise.of_one_pose, drive.interval))
         if identified is not None:
-            self.learn(Learned(identified, drive.interval))
+            self.learn(Learned.of(identified, drive))
 
     def learn(self, learned: Learned) -> None:
         """Use what was identified from now on: here, or by another estimator with the same poses and commands."""
@@ -184,7 +212,7 @@ class AdaptiveEstimator:
         self._noise = self._noise.updated(identified, learned.interval)
         self._filter.set_noise(self._noise)
         self._filter.set_parameter_spread(self._covariance_of(identified))
-        self._set_slope(identified)
+        self._set_slope(learned)
         if self._settings.identify:
             self._use_parameters(identified)
         if self._delay_index >= 0:
@@ -243,17 +271,18 @@ class AdaptiveEstimator:
         size = len(self._model.vehicle.parameters)
         return identified.covariance[:size, :size]
 
-    def _set_slope(self, identified: Identified) -> None:
-        """Take the identified force as the effect of the floor's slope.
+    def _set_slope(self, learned: Learned) -> None:
+        """Take the identified force as the effect of the floor's slope, apart from forces that come and go.
 
         The floor stays as it is: a force that has changed has another cause, such as a box that the vehicle pushes.  So
         what the drive showed before the window counts as well.
         """
         if self._camera is None or not self._settings.identify:
             return
-        felt, force = felt_gravity(self._model.vehicle), self._force
+        felt, force, identified = felt_gravity(self._model.vehicle), self._force, learned.identified
         of_window = identified.constant[force], identified.constant_covariance[np.ix_(force, force)]
-        mean, covariance = self._of_drive.update(float(identified.times[0]), float(identified.times[-1]), *of_window)
+        begin, end = float(identified.times[0]), float(identified.times[-1])
+        mean, covariance = self._of_drive.update(begin, end, *of_window, learned.passing_force)
         slope, covariance = _possible(-mean / felt), covariance / felt**2
         error = GRAVITY_SHARE_ERROR * float(np.linalg.norm(slope))
         self._filter.set_slope(slope, covariance + error**2 * np.eye(2))
