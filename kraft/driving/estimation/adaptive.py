@@ -100,7 +100,8 @@ class Learned:
         apart only if nothing else has changed in between.
         """
         times = max(1.0, self.interval * len(self.identified.times) / PASSING_TIME)
-        return PASSING_FORCE**2 / times * np.linalg.inv(self.directions + LEAST_TURN * np.eye(2))
+        directions = np.asarray(np.linalg.inv(self.directions + LEAST_TURN * np.eye(2)), dtype=float)
+        return PASSING_FORCE**2 / times * directions
 
 
 class AdaptiveEstimator:
