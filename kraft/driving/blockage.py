@@ -8,6 +8,7 @@ plans lead round it.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 from kraft.driving.messages import Reference, ReferenceKind
@@ -30,6 +31,14 @@ DEPTH: Final = 0.2
 """Length of what it cannot push, m."""
 
 
+@dataclass(frozen=True)
+class Blocked:
+    """The `obstacle` that has held a vehicle since `begin` (s)."""
+
+    obstacle: Polygon
+    begin: float
+
+
 class Blockage:
     """Counts the time for which a vehicle is on a plan without moving."""
 
@@ -37,9 +46,9 @@ class Blockage:
         """`patience` is the time after which a vehicle counts as blocked, s."""
         self._patience, self._vehicle = patience, vehicle
         self._place: tuple[float, float, float] | None = None
-        self._since = self._on_plan = self._intended = 0.0
+        self._begin = self._since = self._on_plan = self._intended = 0.0
 
-    def observe(self, time: float, state: Floats, reference: Reference) -> Polygon | None:
+    def observe(self, time: float, state: Floats, reference: Reference) -> Blocked | None:
         """What blocks a vehicle with an estimated state (nx,) that tracks `reference` at `time` (s), if it is blocked.
 
         The obstacle is where the plans led in the mean, ahead or behind.  Where that is nowhere, the vehicle drives to
@@ -48,7 +57,7 @@ class Blockage:
         pose, elapsed = pose_of(state, self._vehicle), time - self._since
         self._since = time
         if self._place is None or _has_moved(self._place, pose):
-            self._place, self._on_plan, self._intended = pose, 0.0, 0.0
+            self._place, self._begin, self._on_plan, self._intended = pose, time, 0.0, 0.0
         elif reference.kind is ReferenceKind.PLAN:
             self._on_plan += elapsed
             self._intended += elapsed * self._intended_speed(reference, time)
@@ -56,7 +65,7 @@ class Blockage:
         if self._on_plan < self._patience or abs(self._intended) < least:
             return None
         self._place = None
-        return self._obstacle(pose, math.copysign(1.0, self._intended))
+        return Blocked(self._obstacle(pose, math.copysign(1.0, self._intended)), self._begin)
 
     def _intended_speed(self, reference: Reference, time: float) -> float:
         """Mean speed of a reference in the next second, along the heading at its begin, m/s."""

@@ -229,7 +229,8 @@ class Cycle:
     `parameters` (np,) are those of the vehicle if they are estimated.  `commitment` is the message to the car,
     `delivered` whether it arrives.  `stopping` is the predicted motion of the contingency on board until standstill;
     None if the car stays on the plan.  `proposed` is whether there was a plan to check.  `blocked` are what has blocked
-    the vehicle so far, which counts as obstacles beside those of the map.
+    the vehicle so far, which counts as obstacles beside those of the map; `held` is the time (begin, end; s) in which
+    the newest of them has held it, if this cycle found it.
     """
 
     number: int
@@ -258,6 +259,7 @@ class Cycle:
     parameters: Floats | None = None
     proposed: bool = True
     blocked: tuple[Polygon, ...] = ()
+    held: tuple[float, float] | None = None
 
     @property
     def commitment(self) -> Commitment:

@@ -109,6 +109,7 @@ class Replanner:
         self._proposer = self._propose_with(solvers)
         self._blockage = None if settings.blocked is None else Blockage(settings.blocked, self.dirt.vehicle)
         self._blocked: tuple[Polygon, ...] = ()
+        self._held: tuple[float, float] | None = None  # time in which something held the vehicle, found in this cycle
         self._fruitless = 0  # number of the latest cycles without a plan to the goal
         self._predict = ClosedLoopPredictor(self.dirt, controller, period)
         self._ranking: ContingencyRanking | None = None
@@ -219,13 +220,15 @@ class Replanner:
 
     def _look_for_blockage(self, estimate: Estimate, current: Commitment) -> None:
         """Plan round what blocks the vehicle, which the map does not have; forget it all where that leaves no way."""
+        self._held = None
         if self._blockage is None:
             return
         leads = self._proposal.plan is not None and self._proposal.plan.reaches_goal
         self._fruitless = 0 if leads else self._fruitless + 1
         found = self._blockage.observe(estimate.time, estimate.state, current.reference_at(estimate.time))
         if found is not None:
-            self._block((*self._blocked, found), "the vehicle does not move: something is in the way")
+            self._held = found.begin, estimate.time
+            self._block((*self._blocked, found.obstacle), "the vehicle does not move: something is in the way")
         elif self._blocked and self._fruitless * self._settings.cycle > FORGET:
             self._block((), "no way leads round what blocked the vehicle")
 
@@ -446,4 +449,5 @@ class Replanner:
             parameters=estimate.parameters,
             proposed=proposal.plan is not None,
             blocked=self._blocked,
+            held=self._held,
         )

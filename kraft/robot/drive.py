@@ -296,6 +296,8 @@ class Planner:
         estimate = estimator.replanning_estimate(request.time)
         self._replanner.set_delay(estimator.horizon)
         cycle = self._replanner.decide(estimate, request.current)
+        if cycle.held is not None:
+            estimator.leave_out(*cycle.held)
         self._state = estimate.state
         learned = estimator.learned if isinstance(estimator, AdaptiveEstimator) else None
         return Planned(replace(cycle, tree=None), learned), cycle.tree

@@ -166,6 +166,9 @@ class OracleEstimator:
         self._reckoning.reset(time, state)
         return Estimate(time + self.horizon, self._reckoning.at(time + self.horizon), 0.0)
 
+    def leave_out(self, begin: float, end: float) -> None:
+        """Do nothing: nothing is identified."""
+
     def replanning_estimate(self, time: float) -> Estimate:
         """State at `time` (s) plus the delay, with the parameters of the car if they have changed."""
         parameters = None

@@ -169,6 +169,8 @@ class _Trial:
         estimate = self._estimator.replanning_estimate(now)
         self._replanner.set_delay(self._communication_delay + self._estimator.horizon)
         cycle = self._replanner.step(estimate, self._on_board.commitment)
+        if cycle.held is not None:
+            self._estimator.leave_out(*cycle.held)
         cycle = replace(cycle, delivered=self._radio.delivers())
         if cycle.delivered:
             self._sent.append((cycle.time, cycle.commitment))

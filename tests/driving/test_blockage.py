@@ -70,9 +70,17 @@ def test_the_obstacle_is_where_the_plan_leads_and_leaves_a_gap(speed: float, ahe
     subject = Blockage(PATIENCE, mushr())
     found = [subject.observe(k * CYCLE, STATE, reference(speed)) for k in range(5)][-1]
     assert found is not None
-    assert ahead * (found.vertices[:, 1].mean() - STATE[1]) > 0.0
-    exact = ExactClearance(Workspace(((-9.0, 9.0), (-9.0, 9.0)), (found,)), mushr().footprint)
+    assert ahead * (found.obstacle.vertices[:, 1].mean() - STATE[1]) > 0.0
+    exact = ExactClearance(Workspace(((-9.0, 9.0), (-9.0, 9.0)), (found.obstacle,)), mushr().footprint)
     assert exact.distances(poses_of(STATE[None, :], mushr())) == pytest.approx([GAP])
+
+
+def test_it_has_held_the_vehicle_since_this_stands() -> None:
+    subject, moving = Blockage(PATIENCE, mushr()), STATE + np.outer(np.arange(4), [0.0, 0.1, 0.0, 0.0])
+    found = [subject.observe(k * CYCLE, state, reference()) for k, state in enumerate([*moving, *[moving[-1]] * 5])]
+    assert found[:7] == [None] * 7
+    assert found[7] is not None
+    assert found[7].begin == 3 * CYCLE
 
 
 # In the replanner

@@ -12,7 +12,8 @@ from support.driving import RATE
 
 from kraft.driving.estimation import LevelCamera
 from kraft.driving.estimation.adaptive import HOLDS, AdaptiveEstimator, Learned, online_parameters
-from kraft.driving.estimation.sliding_window import ConstantOfDrive, Drive, Identified
+from kraft.driving.estimation.pose_filter import ConstantOfDrive
+from kraft.driving.estimation.sliding_window import Drive, Identified
 from kraft.driving.method import Adaptive
 from kraft.driving.vehicle_model import CarModel
 from kraft.scenario import Sensing

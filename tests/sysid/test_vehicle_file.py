@@ -12,7 +12,8 @@ import pytest
 from support.sysid import estimated, fake_evaluation, fake_identification, fake_log, fake_windows
 
 from kraft.config import bundled
-from kraft.driving.estimation.adaptive import online_parameters, with_identified_drift
+from kraft.driving.estimation.adaptive import online_parameters
+from kraft.driving.estimation.dead_reckoning import with_identified_drift
 from kraft.driving.method import Adaptive
 from kraft.errors import Code, InputError
 from kraft.logs.log import Log

@@ -35,6 +35,9 @@ class Estimator(Protocol):
     def commanded(self, time: float, control: Floats) -> None:
         """Record that `control` (nu,) is sent at `time` (s, ascending) and held until the next one."""
 
+    def leave_out(self, begin: float, end: float) -> None:
+        """Identify nothing from the time from `begin` to `end` (s), in which something held the vehicle."""
+
     def estimate(self, time: float) -> Estimate:
         """Estimate at `time` (s) plus the horizon, predicted from the newest observation with the commands."""
 

@@ -11,17 +11,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from kraft.driving.estimation.dead_reckoning import DELAY_MAX
+from kraft.driving.estimation.dead_reckoning import DELAY_MAX, with_identified_drift
 from kraft.driving.estimation.pose_filter import (
     CORRELATED,
     ERRORS,
     FLOOR,
     OFFSET,
+    ConstantOfDrive,
     LevelCamera,
     PoseFilter,
     Posterior,
@@ -30,7 +30,6 @@ from kraft.driving.estimation.pose_filter import (
 )
 from kraft.driving.estimation.sliding_window import (
     DRIVE_MAX,
-    ConstantOfDrive,
     Drive,
     DriveHistory,
     Identified,
@@ -43,7 +42,6 @@ from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
 from kraft.vehicles import FORCE, STEEPEST, felt_gravity
-from kraft.vehicles.config import load_vehicle_config
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.vehicle import Vehicle
 
@@ -163,8 +161,17 @@ class AdaptiveEstimator:
     def commanded(self, time: float, control: Floats) -> None:
         """Record that `control` (nu,) is sent at `time` (s, ascending) and held until the next one."""
         self._filter.commanded(time, control)
+        self._history.command(time, control, self._moves())
+
+    def _moves(self) -> bool:
+        """Whether the vehicle moves, by the filter or by the poses: a filter with wrong parameters may not see it."""
         velocities = np.abs(self._filter.posterior.mean[self._model.velocities])
-        self._history.command(time, control, bool((velocities > MOVING).any()))
+        return bool((velocities > MOVING).any()) or self._history.has_moved(float(self._noise.variance[:2].max()))
+
+    def leave_out(self, begin: float, end: float) -> None:
+        """Identify nothing from the time from `begin` to `end` (s), nor a change that was found with it."""
+        self._history.leave_out(begin, end)
+        self._window.forget_change()
 
     def estimate(self, time: float) -> Estimate:
         """Estimate at `time` (s) plus the horizon."""
@@ -287,28 +294,6 @@ class AdaptiveEstimator:
         slope, covariance = _possible(-mean / felt), covariance / felt**2
         error = GRAVITY_SHARE_ERROR * float(np.linalg.norm(slope))
         self._filter.set_slope(slope, covariance + error**2 * np.eye(2))
-
-
-def with_identified_drift(settings: Adaptive, vehicle: Vehicle) -> Adaptive:
-    """Settings with at least the drifts that the errors of held-out drives in the vehicle's file show.
-
-    A random walk of the position by `drift` and one of the speed by `speed_drift` lead to the variance
-    drift^2 t + speed_drift^2 t^3 / 3 along the vehicle.  The drives at the speed with the largest errors count.
-    """
-    record = load_vehicle_config(Path(vehicle.file)).identification if vehicle.file else None
-    if record is None:
-        return settings
-    from scipy.optimize import nnls  # which takes a fifth of what a process of a drive loads
-
-    drift, heading, speed = settings.drift, settings.heading_drift_deg, settings.speed_drift
-    for errors in record.by_speed:
-        after, variance = np.array(errors.after), np.maximum(np.square(errors.along), np.square(errors.across))
-        terms = np.column_stack([after, after**3 / 3.0])
-        scale = 1.0 / np.maximum(variance, 1e-12)
-        position, moving = np.sqrt(nnls(terms * scale[:, None], variance * scale)[0])
-        drift, speed = max(drift, float(position)), max(speed, float(moving))
-        heading = max(heading, math.degrees(math.sqrt(float(np.mean(np.square(errors.yaw) / after)))))
-    return settings.model_copy(update={"drift": drift, "heading_drift_deg": heading, "speed_drift": speed})
 
 
 def stated_spread(vehicle: Vehicle) -> Matrix:

@@ -1,4 +1,4 @@
-"""Dead reckoning: the prediction from a known state with the commands since then, and the estimator that uses it."""
+"""Dead reckoning: the prediction from a known state with the commands since then, its drift, and an estimator by it."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ import math
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from kraft.driving.messages import Estimate, Observation
-from kraft.driving.method import Latest
+from kraft.driving.method import Adaptive, Latest
 from kraft.driving.vehicle_model import VehicleModel
+from kraft.vehicles.config import load_vehicle_config
 from ompl_ext.arrays import Floats
+from ompl_ext.vehicle import Vehicle
 
 Advance = Callable[[Floats, Floats, float], Floats]
 """Function from a state (nx,), a control (nu,) and a duration (s) to the next state (nx,)."""
@@ -144,6 +147,9 @@ class LatestPose:
         """Estimate at `time` (s)."""
         return Estimate(time, self._reckoning.at(time), time - self._newest_time)
 
+    def leave_out(self, begin: float, end: float) -> None:
+        """Do nothing: nothing is identified."""
+
     def replanning_estimate(self, time: float) -> Estimate:
         """Estimate at `time` (s): mean of the predictions from each of the newest poses."""
         if len(self._window_poses) < 2:
@@ -155,3 +161,25 @@ class LatestPose:
 
     def uncertainty(self, time: float) -> None:
         """No bound rests on this estimator: it states no uncertainty."""
+
+
+def with_identified_drift(settings: Adaptive, vehicle: Vehicle) -> Adaptive:
+    """Settings with at least the drifts that the errors of held-out drives in the vehicle's file show.
+
+    A random walk of the position by `drift` and one of the speed by `speed_drift` lead to the variance
+    drift^2 t + speed_drift^2 t^3 / 3 along the vehicle.  The drives at the speed with the largest errors count.
+    """
+    record = load_vehicle_config(Path(vehicle.file)).identification if vehicle.file else None
+    if record is None:
+        return settings
+    from scipy.optimize import nnls  # which takes a fifth of what a process of a drive loads
+
+    drift, heading, speed = settings.drift, settings.heading_drift_deg, settings.speed_drift
+    for errors in record.by_speed:
+        after, variance = np.array(errors.after), np.maximum(np.square(errors.along), np.square(errors.across))
+        terms = np.column_stack([after, after**3 / 3.0])
+        scale = 1.0 / np.maximum(variance, 1e-12)
+        position, moving = np.sqrt(nnls(terms * scale[:, None], variance * scale)[0])
+        drift, speed = max(drift, float(position)), max(speed, float(moving))
+        heading = max(heading, math.degrees(math.sqrt(float(np.mean(np.square(errors.yaw) / after)))))
+    return settings.model_copy(update={"drift": drift, "heading_drift_deg": heading, "speed_drift": speed})

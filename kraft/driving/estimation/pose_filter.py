@@ -200,6 +200,9 @@ class PoseFilter:
         newest = self.posterior.time if self.posterior.observation is not None else -math.inf
         return Estimate(time, state[:nx], time - newest)
 
+    def leave_out(self, begin: float, end: float) -> None:
+        """Do nothing: nothing is identified."""
+
     def replanning_estimate(self, time: float) -> Estimate:
         """Estimate at `time` (s), the same as `estimate`, which already rests on all observations."""
         return self.estimate(time)
@@ -325,6 +328,43 @@ class LevelCamera:
         rise = marker @ slope / level
         place: Matrix = self.start + marker + (rise / (1.0 + level))[:, None] * slope
         return place
+
+
+class ConstantOfDrive:
+    """Estimate of something that is the same in the whole drive, from windows that follow each other without overlap.
+
+    Each window has the same prior, with mean 0.  What an update joins is the window and the result of the last update
+    that ended before it, without the prior that both have.  What the data of a window tell may have an error that the
+    covariance of the window does not include, because its model does not.
+    """
+
+    def __init__(self, std: Floats) -> None:
+        """`std` (n,) are the standard deviations of the prior."""
+        self._prior = np.diag(std**-2.0)
+        self._results: list[tuple[float, Matrix, Floats]] = []
+
+    def update(
+        self, begin: float, end: float, mean: Floats, covariance: Matrix, error: Matrix
+    ) -> tuple[Floats, Matrix]:
+        """Mean (n,) and covariance (n, n) after a window from `begin` to `end` (s) with its own mean and covariance.
+
+        `error` (n, n) is the covariance of an error of what its data tell.
+        """
+        total = np.asarray(np.linalg.inv(covariance), dtype=float)
+        of_data = total - self._prior
+        # data with the covariance C = of_data^-1, which may not exist, now have C + error
+        left: Matrix = np.asarray(np.linalg.inv(np.eye(len(mean)) + of_data @ error), dtype=float)
+        information, score = self._prior + left @ of_data, left @ (total @ mean)
+        before = sum(result[0] <= begin for result in self._results)
+        if before > 0:
+            _, earlier, earlier_score = self._results[before - 1]
+            information, score = information + earlier - self._prior, score + earlier_score
+            del self._results[: before - 1]
+        if self._results and self._results[-1][0] >= end:  # the vehicle stands
+            self._results.pop()
+        self._results.append((end, information, score))
+        joined = np.asarray(np.linalg.inv(information), dtype=float)
+        return joined @ score, joined
 
 
 def _mapped(poses: Matrix, place: Callable[[Matrix], Matrix]) -> Matrix:

@@ -34,6 +34,12 @@ ROBUST: Final = 2.0
 """Residual, in standard deviations, above which the weight of a pose decreases."""
 MARGIN: Final = 0.5
 """Time before and after a motion that belongs to it, s: standstill determines the speed there."""
+SEEN: Final = 1.0
+"""Time in which poses show whether the vehicle moves, s."""
+SEEN_WAY: Final = 0.03
+"""Distance of the mean place in the second half of that time from the one in the first half, at least, m."""
+SEEN_DEVIATIONS: Final = 2.0
+"""The same in standard deviations of a position."""
 ROUNDING: Final = 1e-9
 """Difference of two times by rounding, s."""
 RECENT: Final = 1.0
@@ -143,6 +149,21 @@ class DriveHistory:
             else:
                 self.moving.append((time, time))
 
+    def has_moved(self, variance: float) -> bool:
+        """Whether the poses of the latest `SEEN` s show a motion, given the variance of their position (m^2)."""
+        times, places = self._poses.times, self._poses.values[:, :2]
+        first, middle = (int(k) for k in np.searchsorted(times, times[-1] - SEEN * np.array([1.0, 0.5])))
+        if first == middle:
+            return False
+        away = places[middle:].mean(axis=0) - places[first:middle].mean(axis=0)
+        return math.hypot(*away) > max(SEEN_WAY, SEEN_DEVIATIONS * math.sqrt(variance))
+
+    def leave_out(self, begin: float, end: float) -> None:
+        """Take the time from `begin` to `end` (s), and what belongs to a motion before and after, as standstill."""
+        first, last = begin - MARGIN, end + MARGIN
+        parts = [part for a, b in self.moving for part in ((a, min(b, first)), (max(a, last), b))]
+        self.moving = [(a, b) for a, b in parts if a < b]
+
     def drive(self, begin: float) -> Drive | None:
         """The recorded drive from `begin` (s) on; None before two poses."""
         self._forget(begin)
@@ -229,6 +250,10 @@ class SlidingWindow:
         specs = list(self.parameters.specs)
         specs[k] = replace(specs[k], std=std)
         self.parameters = replace(self.parameters, specs=tuple(specs))
+
+    def forget_change(self) -> None:
+        """Forget the change that the last updates found; one that the drive still shows is found again."""
+        self._changed_at = None
 
     def update(
         self, drive: Drive, moving: Sequence[tuple[float, float]], noise: Callable[[float], Noise]
@@ -360,43 +385,6 @@ class SlidingWindow:
         times = np.concatenate([s.times for s in problem.chains.segments])
         states = np.column_stack([np.interp(times, drive.times, column) for column in drive.states.T])
         return Point(states, problem.actuators.mean(self.rho)[0], self.rho.copy())
-
-
-class ConstantOfDrive:
-    """Estimate of something that is the same in the whole drive, from windows that follow each other without overlap.
-
-    Each window has the same prior, with mean 0.  What an update joins is the window and the result of the last update
-    that ended before it, without the prior that both have.  What the data of a window tell may have an error that the
-    covariance of the window does not include, because its model does not.
-    """
-
-    def __init__(self, std: Floats) -> None:
-        """`std` (n,) are the standard deviations of the prior."""
-        self._prior = np.diag(std**-2.0)
-        self._results: list[tuple[float, Matrix, Floats]] = []
-
-    def update(
-        self, begin: float, end: float, mean: Floats, covariance: Matrix, error: Matrix
-    ) -> tuple[Floats, Matrix]:
-        """Mean (n,) and covariance (n, n) after a window from `begin` to `end` (s) with its own mean and covariance.
-
-        `error` (n, n) is the covariance of an error of what its data tell.
-        """
-        total = np.asarray(np.linalg.inv(covariance), dtype=float)
-        of_data = total - self._prior
-        # data with the covariance C = of_data^-1, which may not exist, now have C + error
-        left: Matrix = np.asarray(np.linalg.inv(np.eye(len(mean)) + of_data @ error), dtype=float)
-        information, score = self._prior + left @ of_data, left @ (total @ mean)
-        before = sum(result[0] <= begin for result in self._results)
-        if before > 0:
-            _, earlier, earlier_score = self._results[before - 1]
-            information, score = information + earlier - self._prior, score + earlier_score
-            del self._results[: before - 1]
-        if self._results and self._results[-1][0] >= end:  # the vehicle stands
-            self._results.pop()
-        self._results.append((end, information, score))
-        joined = np.asarray(np.linalg.inv(information), dtype=float)
-        return joined @ score, joined
 
 
 def _begin_of_last(moving: Sequence[tuple[float, float]], length: float) -> float:
