@@ -107,6 +107,8 @@ def test_plans_lead_round_what_blocks_the_vehicle() -> None:
     stopped = next(k for k, cycle in enumerate(cycles) if cycle.reason)
     assert [len(cycle.blocked) for cycle in cycles] == [0] * stopped + [1] * (8 - stopped)
     assert cycles[-1].blocked == subject._blocked
+    assert [cycle.held for cycle in cycles if cycle.held is not None] == [(0.0, cycles[stopped].decided)]
+    assert cycles[stopped].held is not None
     plan = subject._proposal.plan
     assert plan is not None
     obstacle = Workspace(subject.dirt.workspace.bounds, subject._blocked)

@@ -6,9 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.adaptive import HEADING, OTHER, POSITION, SETTINGS, exciting, recorded, standing, straight, vehicle, window
+from support.adaptive import (
+    BEGIN,
+    HEADING,
+    OTHER,
+    POSITION,
+    SETTINGS,
+    exciting,
+    pose_at,
+    recorded,
+    standing,
+    straight,
+    vehicle,
+    window,
+)  # fmt: skip
+from support.driving import RATE
 
-from kraft.driving.estimation.sliding_window import Drive, Identified, NoiseEstimate
+from kraft.driving.estimation.sliding_window import Drive, DriveHistory, Identified, NoiseEstimate
 from kraft.driving.vehicle_model import CarModel
 from kraft.sysid.interface import Noise
 
@@ -184,3 +198,62 @@ def test_residuals_are_as_large_as_the_noise() -> None:
     assert found.residuals.shape == (len(found.times), 3)
     assert np.sqrt(np.mean(found.residuals[:, :2] ** 2)) == pytest.approx(POSITION, rel=0.25)
     assert np.sqrt(np.mean(found.residuals[:, 2] ** 2)) == pytest.approx(HEADING, rel=0.25)
+
+
+# What counts as motion
+
+
+def observed(speed: float, sigma: float, seed: int) -> DriveHistory:
+    """History of 3 s at a speed along x, with errors of the poses."""
+    history, rng = DriveHistory(BEGIN, CarModel(vehicle())), np.random.default_rng(seed)
+    for k in range(round(3 * RATE)):
+        pose = BEGIN + np.array([speed * k / RATE, 0.0, 0.0, 0.0])
+        history.observe(pose_at(k, pose, np.append(sigma * rng.normal(size=2), 0.0)), pose)
+    return history
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize(("speed", "moves"), [(0.0, False), (0.02, False), (0.15, True)])
+def test_poses_show_whether_the_vehicle_moves(speed: float, moves: bool, seed: int) -> None:
+    assert observed(speed, 0.02, seed).has_moved(0.02**2) == moves
+
+
+def test_poses_show_no_motion_that_is_smaller_than_their_errors() -> None:
+    assert not observed(0.15, 0.02, 0).has_moved(0.05**2)
+
+
+def test_the_start_alone_shows_no_motion() -> None:
+    assert not DriveHistory(BEGIN, CarModel(vehicle())).has_moved(0.01)
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "left"),
+    [
+        (3.0, 4.0, [(0.0, 2.5), (4.5, 8.0), (9.0, 9.5)]),
+        (3.0, 8.7, [(0.0, 2.5), (9.2, 9.5)]),
+        (0.2, 20.0, []),
+        (8.3, 8.4, [(0.0, 7.8), (9.0, 9.5)]),
+    ],
+)
+def test_a_time_that_is_left_out_counts_as_standstill(
+    begin: float, end: float, left: list[tuple[float, float]]
+) -> None:
+    history = DriveHistory(BEGIN, CarModel(vehicle()))
+    history.moving = [(0.0, 8.0), (9.0, 9.5)]
+    history.leave_out(begin, end)
+    assert history.moving == [pytest.approx(span) for span in left]
+
+
+def test_a_change_that_is_forgotten_has_no_effect_on_what_is_found_next() -> None:
+    """The car pushes against something from 7 s on; without that time the parameters are what they were before."""
+    drive = recorded(exciting, 9.0, {}, 0.1, change=(7.0, {"v_delta": 0.1}))
+    subject, k = window(), window().parameters.names.index("v_delta")
+    for time in np.arange(7.0, 9.1, 0.25):
+        weak = subject.update(until(drive, float(time)), [(0.1, float(time))], independent)
+    assert weak is not None
+    assert weak.rho[k] < 0.5
+    subject.forget_change()
+    found = subject.update(drive, [(0.1, 6.5)], independent)
+    assert found is not None
+    assert found.rho[k] == pytest.approx(vehicle().parameters["v_delta"], abs=INTERVAL * deviations(found)["v_delta"])
+    assert found.rho[k] > 0.6
