@@ -204,6 +204,22 @@ def test_a_car_that_stands_learns_nothing() -> None:
     assert estimate.uncertainty.delay == DEFAULT.delay_std
 
 
+def test_poses_show_a_motion_that_the_filter_does_not_see() -> None:
+    """By the parameters in use the drive hardly moves the car."""
+    states, commands = driven(exciting, 6.0, {}, 0.0)
+    subject = estimator(Adaptive(kind="adaptive", identify=False))
+    subject._model.set_parameters(np.array(list({**vehicle().parameters, "v_delta": 0.01}.values())))
+    seen = list[bool]()
+    for k in range(len(commands)):
+        subject._filter.posterior.mean[subject._model.velocities] = 0.0
+        subject.observe(pose_at(k, states[k], np.zeros(3)))
+        subject._filter.posterior.mean[subject._model.velocities] = 0.0
+        seen.append(subject._moves())
+        subject.commanded(k / RATE, commands[k])
+    assert not any(seen[:10])
+    assert np.mean(seen[round(1.5 * RATE) :]) > 0.8
+
+
 def test_the_uncertainty_grows_until_the_horizon() -> None:
     """The covariance is that of the state in which a command will act, not that of the newest pose."""
     states, commands = driven(exciting, 6.0, {}, 0.0)

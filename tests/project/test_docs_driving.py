@@ -31,7 +31,16 @@ from kraft.driving.clearance import (
 from kraft.driving.control_settings import Dwa, Geometric, Kinodynamic, Lqr, Mppi, Nmpc, Predictive, RolloutCost
 from kraft.driving.estimation.adaptive import MOVED_AFTER, PASSING_FORCE, PASSING_TIME, SIGNIFICANT, SLOW
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
-from kraft.driving.estimation.sliding_window import DRIVE_MAX, LAG, NOTICED, PRIOR_CORRELATION, PRIOR_SAMPLES
+from kraft.driving.estimation.sliding_window import (
+    DRIVE_MAX,
+    LAG,
+    NOTICED,
+    PRIOR_CORRELATION,
+    PRIOR_SAMPLES,
+    SEEN,
+    SEEN_DEVIATIONS,
+    SEEN_WAY,
+)
 from kraft.driving.method import Adaptive, CalibratedBound, Clearance, Filter, Method, PlannerSettings, load_method
 from kraft.driving.proposer import (
     DETOUR,
@@ -174,7 +183,7 @@ def test_quoted_constants_are_those_in_the_code() -> None:
         f"costs at most {RETAINED_TOLERANCE:g} s more", f"a stop of less than {DRIVE_MAX:g} s",
         f"the settings count as {PRIOR_SAMPLES:g} independent poses, and as {PRIOR_CORRELATION:g} correlation times",
         f"a force that comes and goes, of {PASSING_FORCE:g} m/s², each {PASSING_TIME:g} s another one",
-        f"that are {LAG:g} s apart", f"than its noise explains for {MOVED_AFTER:g} s", f"A car slower than {SLOW:g} m/s gets",
+        f"in the halves of the last second are {100 * SEEN_WAY:g} cm", f"that are {LAG:g} s apart", f"than its noise explains for {MOVED_AFTER:g} s", f"A car slower than {SLOW:g} m/s gets",
         f"by the covariance of the new ones, is over {SIGNIFICANT:g}",
         f"exceeds {NOTICED:g}. The next cycles test the motion since then as well",
         f"If for {PROGRESS_TIME:g} s no plan was cheaper by {PROGRESS * PROGRESS_TIME:g} s than the cheapest one before",
@@ -193,3 +202,4 @@ def test_quoted_constants_are_those_in_the_code() -> None:
         assert text in words
     assert (STEADY, NARROW, CORRECTION_ATTEMPTS, PROBES_HIGHER) == (2, (1.0, 0.5), 12, 4)
     assert LEVEL_GAIN == 0.1  # a tenth
+    assert (SEEN, SEEN_DEVIATIONS) == (1.0, 2.0)

@@ -300,3 +300,19 @@ def test_a_plan_that_a_new_map_forbids_is_not_committed() -> None:
         reasons.append(answer.cycle.reason)
     assert reasons[0] == ""
     assert "clearance" in reasons[1] or "no manoeuvre stops safely" in reasons[1]
+
+
+@pytest.mark.slow
+def test_the_planner_identifies_nothing_from_the_time_in_which_something_held_the_vehicle(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    task, vehicle = load_scenario("boxes").task(), load_vehicle("mushr-force")
+    planner = Planner(DriveSpec(task, on_the_clock(load_method("adaptive-kraft")), vehicle, robot(), 60.0))
+    begun, left_out = planner.begin((task.start.x, task.start.y, task.start.heading)), list[tuple[float, float]]()
+    replanner = planner._replanner
+    assert replanner is not None
+    decide = replanner.decide
+    monkeypatch.setattr(replanner, "decide", lambda *given: replace(decide(*given), held=(0.1, 2.2)))
+    monkeypatch.setattr(planner._estimator, "leave_out", lambda *span: left_out.append(span))
+    planner.decide(PlanRequest(-0.3, 0, Sense(0), begun.commitment))
+    assert left_out == [(0.1, 2.2)]

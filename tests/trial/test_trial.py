@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from kraft.driving.estimation.adaptive import AdaptiveEstimator
 from kraft.driving.messages import Cycle, ReferenceKind, as_driven
 from kraft.driving.method import PlannerSettings, load_method
 from kraft.scenario import load_scenario
@@ -294,3 +295,23 @@ def test_a_car_that_is_seen_too_far_uphill_drives_on_to_the_goal() -> None:
     result = run_trial(TrialSpec.load("slope", "filtered-kraft", seed=0))
     assert result.outcome is Outcome.SUCCESS
     assert result.time < 25.0
+
+
+def test_nothing_is_identified_from_the_time_in_which_something_held_the_vehicle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A block of 30 kg that the map does not have stands in the way."""
+    left_out, leave_out = list[tuple[float, float]](), AdaptiveEstimator.leave_out
+
+    def recorded(self: AdaptiveEstimator, begin: float, end: float) -> None:
+        leave_out(self, begin, end)
+        left_out.append((begin, end))
+        assert all(last < begin or first > end for first, last in self._history.moving)
+
+    monkeypatch.setattr(AdaptiveEstimator, "leave_out", recorded)
+    block = "truth: {movable_boxes: [{center: [1.5, 1], size: [0.4, 1.2, 0.2], mass: 30}]}\n"
+    result = run_trial(spec(tmp_path, "adaptive-kraft", block + "trial: {timeout: 12}\n"))
+    held = [cycle.held for cycle in result.cycles if cycle.held is not None]
+    assert held == left_out
+    assert held
+    assert all(end - begin >= 2.0 for begin, end in held)
