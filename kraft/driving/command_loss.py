@@ -14,24 +14,15 @@ import numpy as np
 
 from kraft.driving.contingencies import is_resting, plan_reference
 from kraft.driving.messages import PredictedMotion
-from kraft.driving.vehicle_model import stop_control
+from kraft.driving.vehicle_model import braking_control
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver
-from ompl_ext.vehicle import Vehicle
 
 MOMENTS: Final = 0.1
 """Time between two moments at which the loss of commands is examined, s."""
 STEP: Final = 0.05
 """Time for which a control of the braking robot is held in the prediction, s."""
-
-
-def braking_control(vehicle: Vehicle, state: Floats, held: Floats) -> Floats:
-    """Control (nu,) of a multiplexer that brakes in a state (nx,), with the steering of the `held` control (nu,)."""
-    control = stop_control(vehicle, state, 0)
-    kept = [k for k, name in enumerate(vehicle.controls) if name == "steering"]
-    control[kept] = held[kept]
-    return control
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from kraft.driving.messages import (
     Stop,
 )
 from kraft.driving.method import PlannerSettings
-from kraft.driving.vehicle_model import VehicleModel, stop_control
+from kraft.driving.vehicle_model import VehicleModel, braking_control, stop_control
 from kraft.planning.workspace import poses_of
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels.tracking import Ticks
@@ -427,8 +427,8 @@ class OnBoard:
     """Commitment that the car tracks, and the watchdog.
 
     The watchdog intervenes if the newest observation is too old, or if the car is on a plan and no message has arrived
-    for longer than a cycle and the watchdog's time.  The car then stops from where it believes to be, with the
-    manoeuvre of its contingency, until a message arrives that was decided after that, with a recent observation.
+    for longer than a cycle and the watchdog's time.  The car then brakes from where it believes to be, with
+    the wheels as they are, until a message arrives that was decided after that, with a recent observation.
     """
 
     def __init__(self, settings: PlannerSettings, safety: Safety, model: VehicleModel, commitment: Commitment) -> None:
@@ -485,13 +485,16 @@ class OnBoard:
         return min(estimate.age, estimate.time) > self._limit + 1e-9
 
     def _stop_from(self, estimate: Estimate, reference: Reference) -> Reference:
-        """The manoeuvre of the contingency on board, from the estimated state."""
-        contingency = self.commitment.contingency or reference
-        number = 0 if contingency.stop is None else contingency.stop.manoeuvre
-        vehicle, safety, states = self._model.vehicle, self._safety, [np.asarray(estimate.state, dtype=float)]
-        rest = list(vehicle.rest_indices)
+        """Braking from the estimated state with the wheels as the reference has them now.
+
+        The loss of commands is examined for that, at all moments of a cycle; a contingency that steers is not.
+        """
+        held, vehicle, safety = reference.control_at(estimate.time), self._model.vehicle, self._safety
+        rest, states = list(vehicle.rest_indices), [np.asarray(estimate.state, dtype=float)]
+        controls = list[Floats]()
         while np.any(np.abs(states[-1][rest]) > safety.rest_speed) and len(states) * safety.step <= safety.horizon:
-            control = stop_control(vehicle, states[-1], number)
-            states.append(self._model.advance(states[-1], control, safety.step))
-        times = estimate.time + safety.step * np.arange(len(states), dtype=float)
-        return manoeuvre_reference(vehicle, number, times, np.array(states))
+            controls.append(braking_control(vehicle, states[-1], held))
+            states.append(self._model.advance(states[-1], controls[-1], safety.step))
+        times: Floats = estimate.time + safety.step * np.arange(len(states), dtype=float)
+        driven = np.array(controls).reshape(-1, len(vehicle.controls)), holding_control(vehicle, states[-1])
+        return Reference(ReferenceKind.CONTINGENCY, times, np.array(states), *driven, Stop(0, estimate.time))

@@ -217,6 +217,14 @@ def stop_control(vehicle: Vehicle, state: Floats, number: int) -> Floats:
     return np.array(vehicle.stop(tuple(map(float, state)), tuple(vehicle.parameter_array), number), dtype=float)
 
 
+def braking_control(vehicle: Vehicle, state: Floats, held: Floats) -> Floats:
+    """Control (nu,) that brakes in a state (nx,) with the wheels as they are, by the steering of `held` (nu,)."""
+    control = stop_control(vehicle, state, 0)
+    kept = [k for k, name in enumerate(vehicle.controls) if name == "steering"]
+    control[kept] = held[kept]
+    return control
+
+
 SETTLING_TIME: Final = 20.0
 """Time after which the response to a constant control is taken as steady, s."""
 TABLE_SIZE: Final = 65  # rows of a table of steady responses

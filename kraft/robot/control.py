@@ -408,7 +408,7 @@ class Control:
             self._end(now, "stopped", self._why_blind(estimate))
 
     def _end(self, now: float, outcome: str, reason: str) -> None:
-        """Stop the vehicle, with the manoeuvre of the contingency on board."""
+        """Stop the vehicle, as `OnBoard.stop` does."""
         if self._ending is None:
             self._ending, self._ended_at = (outcome, reason), max(now, 0.0)
             self._stops = self._on_board.stops  # without the stop at the end

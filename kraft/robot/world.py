@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from kraft.driving.command_loss import braking_control
+from kraft.driving.vehicle_model import braking_control
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.robot.command import CommandCodec
 from kraft.robot.display import occupancy_grid
