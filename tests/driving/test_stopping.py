@@ -9,13 +9,22 @@ import numpy as np
 import pytest
 from support.replanner import FARSIGHTED, MARGIN, mushr, replanner, start
 
-from kraft.driving.contingencies import emergency_reference, holding_control, plan_reference, stop_control
-from kraft.driving.messages import Estimate, Reference, ReferenceKind
+from kraft.driving.contingencies import (
+    OnBoard,
+    emergency_reference,
+    holding_control,
+    manoeuvre_reference,
+    plan_reference,
+    stop_control,
+)
+from kraft.driving.messages import Commitment, Estimate, Reference, ReferenceKind
+from kraft.driving.method import PlannerSettings
 from kraft.driving.replanner import Replanner
-from kraft.driving.vehicle_model import CarModel
+from kraft.driving.vehicle_model import CarModel, model_of
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
+from ompl_ext.query import Safety
 
 
 def along(subject: Replanner, state: Floats, number: int) -> tuple[float, float]:
@@ -159,3 +168,25 @@ def test_on_a_slope_the_reference_of_a_standing_car_holds_it() -> None:
     )  # fmt: skip
     reference = plan_reference(vehicle, plan, 2.0)
     assert reference.control_at(9.0) == pytest.approx(holding_control(vehicle, start()))
+
+
+@pytest.mark.parametrize("steering", [0.25, -0.1])
+def test_a_stop_before_the_contingency_begins_keeps_the_wheels_as_the_plan_has_them(steering: float) -> None:
+    """The contingency on board steers to the other side: that is verified only from the end of the cycle on."""
+    model = model_of(mushr())
+    vehicle, hard = model.vehicle, model.vehicle.manoeuvres.index("hard-right" if steering > 0.0 else "hard-left")
+    times, state = np.arange(0.0, 1.01, 0.1), start() + np.array([0.0, 0.0, 0.0, 0.5])
+    plan = Reference(ReferenceKind.PLAN, times, np.tile(state, (11, 1)), np.tile([0.5, steering], (10, 1)), np.zeros(2))
+    contingency = manoeuvre_reference(vehicle, hard, np.array([1.0, 1.1]), np.tile(state, (2, 1)))
+    settings = PlannerSettings(
+        mode="replanning", cycle=1.0, on_board="contingency", contingencies="tracked", safety=MARGIN
+    )
+    board = OnBoard(settings, Safety(cycle=1.0), model, Commitment(plan))
+    board.receive(Commitment(plan, 1.0, contingency), Estimate(0.0, state, 0.0))
+    board.stop(Estimate(0.4, state, 0.0))
+    stop = board.commitment.reference
+    assert (stop.kind, stop.start, board.stops) == (ReferenceKind.CONTINGENCY, 0.4, 1)
+    assert stop.controls[:, 1] == pytest.approx(steering)
+    assert np.abs(stop.controls[:, 0] - [stop_control(vehicle, each, 0)[0] for each in stop.states[:-1]]).max() == 0.0
+    assert abs(stop.states[-1][3]) <= Safety().rest_speed
+    assert np.sign(stop.states[-1][2] - state[2]) == np.sign(steering)
