@@ -487,7 +487,7 @@ class OnBoard:
     def _stop_from(self, estimate: Estimate, reference: Reference) -> Reference:
         """Braking from the estimated state with the wheels as the reference has them now.
 
-        On a robot the loss of commands is examined for that, at all moments of a cycle; a contingency that steers is not.
+        On a robot each moment of a cycle is examined for that, as for a loss of commands, but not for other manoeuvres.
         """
         held, vehicle, safety = reference.control_at(estimate.time), self._model.vehicle, self._safety
         rest, states = list(vehicle.rest_indices), [np.asarray(estimate.state, dtype=float)]
