@@ -496,5 +496,5 @@ class OnBoard:
             controls.append(braking_control(vehicle, states[-1], held))
             states.append(self._model.advance(states[-1], controls[-1], safety.step))
         times: Floats = estimate.time + safety.step * np.arange(len(states), dtype=float)
-        driven = np.array(controls).reshape(-1, len(vehicle.controls)), holding_control(vehicle, states[-1])
-        return Reference(ReferenceKind.CONTINGENCY, times, np.array(states), *driven, Stop(0, estimate.time))
+        straight = manoeuvre_reference(vehicle, 0, times, np.array(states))
+        return replace(straight, controls=np.array(controls).reshape(straight.controls.shape))

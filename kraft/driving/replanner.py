@@ -109,7 +109,6 @@ class Replanner:
         self._proposer = self._propose_with(solvers)
         self._blockage = None if settings.blocked is None else Blockage(settings.blocked, self.dirt.vehicle)
         self._blocked: tuple[Polygon, ...] = ()
-        self._held: tuple[float, float] | None = None  # time in which something held the vehicle, found in this cycle
         self._fruitless = 0  # number of the latest cycles without a plan to the goal
         self._predict = ClosedLoopPredictor(self.dirt, controller, period)
         self._ranking: ContingencyRanking | None = None
@@ -194,7 +193,7 @@ class Replanner:
             if self._model is not None:
                 self._model.set_parameters(estimate.parameters)
         self._calibrate(estimate)
-        self._look_for_blockage(estimate, current)
+        held = self._look_for_blockage(estimate, current)
         cycle_start = self._number * self._settings.cycle + self._cycle_offset
         if self._stands(estimate, current):
             estimate = replace(estimate, state=self._at_rest(estimate.state))
@@ -202,7 +201,7 @@ class Replanner:
         self._relax(root)
         decision = self._decide(root, cycle_start, estimate, current)
         self._contingency = decision.contingency
-        cycle = self._record(decision, cycle_start, estimate)
+        cycle = replace(self._record(decision, cycle_start, estimate), held=held)
         if self._calibration is not None and estimate.uncertainty is not None:
             self._calibration.committed(cycle.predicted, estimate.uncertainty)
         self._in_transit.append((cycle_start, cycle.commitment))
@@ -218,19 +217,22 @@ class Replanner:
             root = self._with_room(decision.predicted.final_state)
             self._proposal = self._proposer.propose(self._number, root, decision.plan)
 
-    def _look_for_blockage(self, estimate: Estimate, current: Commitment) -> None:
-        """Plan round what blocks the vehicle, which the map does not have; forget it all where that leaves no way."""
-        self._held = None
+    def _look_for_blockage(self, estimate: Estimate, current: Commitment) -> tuple[float, float] | None:
+        """Plan round what blocks the vehicle, which the map does not have; forget it all where that leaves no way.
+
+        Returns the time (begin, end; s) in which something held the vehicle, if this cycle found it.
+        """
         if self._blockage is None:
-            return
+            return None
         leads = self._proposal.plan is not None and self._proposal.plan.reaches_goal
         self._fruitless = 0 if leads else self._fruitless + 1
         found = self._blockage.observe(estimate.time, estimate.state, current.reference_at(estimate.time))
         if found is not None:
-            self._held = found.begin, estimate.time
             self._block((*self._blocked, found.obstacle), "the vehicle does not move: something is in the way")
-        elif self._blocked and self._fruitless * self._settings.cycle > FORGET:
+            return found.begin, estimate.time
+        if self._blocked and self._fruitless * self._settings.cycle > FORGET:
             self._block((), "no way leads round what blocked the vehicle")
+        return None
 
     def _block(self, obstacles: tuple[Polygon, ...], reason: str) -> None:
         """Plan with these obstacles beside those of the task; the plan for this cycle does not know them."""
@@ -449,5 +451,4 @@ class Replanner:
             parameters=estimate.parameters,
             proposed=proposal.plan is not None,
             blocked=self._blocked,
-            held=self._held,
         )

@@ -98,8 +98,8 @@ class Learned:
         apart only if nothing else has changed in between.
         """
         times = max(1.0, self.interval * len(self.identified.times) / PASSING_TIME)
-        directions = np.asarray(np.linalg.inv(self.directions + LEAST_TURN * np.eye(2)), dtype=float)
-        return PASSING_FORCE**2 / times * directions
+        amplified = np.asarray(np.linalg.inv(self.directions + LEAST_TURN * np.eye(2)), dtype=float)
+        return PASSING_FORCE**2 / times * amplified
 
 
 class AdaptiveEstimator:
