@@ -2,8 +2,9 @@
 
 The bound is delta(t, v) for t s since the commit and a speed of v m/s.  Its shape comes from the covariance: the error
 of the estimated pose at any time, the uncertain delay times the speed, and a growth with time by what the model leaves
-out.  Its scale is a variance ratio, calibrated online: each cycle compares the deviation of the estimate from the last
-prediction with the bound.  The stated scale counts as a number of cycles, so that the calibration begins cautiously.
+out.  These are independent, so their squares add up.  Its scale is a variance ratio, calibrated online: each cycle
+compares the deviation of the estimate from the last prediction with the bound.  The stated scale counts as a number of
+cycles, so that the calibration begins cautiously.
 
 Where the bound is measured, plans keep one of several levels of clearance: a share of the bound, and a margin.
 """
@@ -12,6 +13,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cache
+from typing import Final
 
 import numpy as np
 
@@ -34,24 +37,57 @@ UNCORRECTED = 0.5  # time for which a wrong acceleration moves the vehicle until
 
 
 @dataclass(frozen=True)
+class Clearance:
+    """Clearance that SAFETY asks for: `delta` + `per_speed` |v| + `per_time` t, with t at most `horizon` s (m, s, m/s)."""
+
+    delta: float
+    per_speed: float
+    per_time: float
+    horizon: float
+
+
+@dataclass(frozen=True)
 class DeviationBound:
-    """delta(t, v) = `delta` + `per_speed` |v| + `per_time` t, with t at most `horizon` s (m, s, m/s)."""
+    """Bound of a deviation with independent parts: the root of `delta`^2 + (`per_speed` v)^2 + (`per_time` t)^2.
+
+    t is at most `horizon` s, and v at most `fastest` m/s (m, s, m/s).
+    """
 
     delta: float
     per_speed: float = 0.0
     per_time: float = 0.0
     horizon: float = 0.0
+    fastest: float = math.inf
+
+    @property
+    def clearance(self) -> Clearance:
+        """Clearance that is nowhere less than the bound, and at rest, at the commit, the same.
+
+        The root is convex in v and in t, and less than the sum of what v and t alone add: a chord of each is above it.
+        """
+        return Clearance(
+            self.delta,
+            _chord(self.delta, self.per_speed, self.fastest),
+            _chord(self.delta, self.per_time, self.horizon),
+            self.horizon,
+        )
 
     def at(self, since: Floats, speeds: Floats) -> Floats:
-        """Bound (n,) at times (n,) since the commit (s) and speeds (n,), m."""
+        """Clearance (n,) at times (n,) since the commit (s) and speeds (n,), m."""
+        asked = self.clearance
         safety = Safety(
-            delta=self.delta, delta_per_speed=self.per_speed, delta_per_time=self.per_time, delta_horizon=self.horizon
+            delta=asked.delta,
+            delta_per_speed=asked.per_speed,
+            delta_per_time=asked.per_time,
+            delta_horizon=asked.horizon,
         )
         return safety.clearance(speeds, since)
 
     def scaled(self, factor: float) -> DeviationBound:
         """Bound times a factor."""
-        return DeviationBound(factor * self.delta, factor * self.per_speed, factor * self.per_time, self.horizon)
+        return replace(
+            self, delta=factor * self.delta, per_speed=factor * self.per_speed, per_time=factor * self.per_time
+        )
 
     def kept(self, level: Level, part: float) -> DeviationBound:
         """`part` of the clearance of a level, without its margin: a share of the bound at rest, and all for the speed.
@@ -71,8 +107,43 @@ class DeviationBound:
     @property
     def later(self) -> DeviationBound:
         """Bound that is expected for the later part of a plan: delay and drive will be known better then."""
-        growth = min(self.per_time, LATER_GROWTH) * self.horizon
-        return DeviationBound(max(self.delta, LATER_DELTA) + growth, min(self.per_speed, LATER_DELAY))
+        grown = math.hypot(max(self.delta, LATER_DELTA), min(self.per_time, LATER_GROWTH) * self.horizon)
+        return DeviationBound(grown, min(self.per_speed, LATER_DELAY), fastest=self.fastest)
+
+
+def _chord(constant: float, slope: float, end: float) -> float:
+    """Slope of the chord from 0 to `end` of the root of `constant`^2 + (`slope` x)^2; `slope` itself if it has no end."""
+    if end == 0.0 or constant == 0.0 or math.isinf(end):
+        return slope
+    return (math.hypot(constant, slope * end) - constant) / end
+
+
+RATIOS: Final = 33
+"""Number of shapes of an ellipse for which quantiles are tabulated."""
+ANGLES: Final = 64
+"""Number of directions of a deviation over which its probability is integrated."""
+HALVINGS: Final = 50
+"""Number of halvings of the interval in which a quantile is looked for."""
+LARGEST: Final = 10.0
+"""Its end, standard deviations."""
+
+
+@cache
+def radius_quantiles(level: float) -> tuple[Floats, Floats]:
+    """Ratios (n,) of the axes of an ellipse, and the `level` quantile (n,) of the length of a normal vector with it.
+
+    The quantile is in units of the larger standard deviation.  With the ratio 0 it is that of a deviation along a line,
+    with 1 the one of Rayleigh's distribution.
+    """
+    ratios = np.linspace(0.0, 1.0, RATIOS)
+    angles = (np.arange(ANGLES) + 0.5) * math.tau / ANGLES
+    variance = np.cos(angles) ** 2 + (ratios[:, None] * np.sin(angles)) ** 2  # of the length, in units of Rayleigh's
+    low, high = np.zeros(RATIOS), np.full(RATIOS, LARGEST)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        is_below = np.exp(-0.5 * middle[:, None] ** 2 / variance).mean(axis=1) > 1.0 - level
+        low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
+    return ratios, high
 
 
 class BoundCalibration:
@@ -80,7 +151,7 @@ class BoundCalibration:
 
     def __init__(self, settings: CalibratedBound, vehicle: Vehicle) -> None:
         self._settings, self._vehicle = settings, vehicle
-        self._quantile = math.sqrt(-2.0 * math.log(1.0 - settings.level))  # of a normal deviation in the plane
+        self._ratios_of_axes, self._quantiles = radius_quantiles(settings.level)
         self._ratios, self._count = settings.prior_cycles * settings.initial**2, settings.prior_cycles
         self._last: tuple[PredictedMotion, DeviationBound] | None = None
 
@@ -116,14 +187,14 @@ class BoundCalibration:
     def _unscaled(self, uncertainty: Uncertainty) -> DeviationBound:
         vehicle, covariance = self._vehicle, uncertainty.state
         pose = [vehicle.index("x"), vehicle.index("y")]
-        position = float(np.linalg.eigvalsh(covariance[np.ix_(pose, pose)])[-1])
-        turn = float(covariance[vehicle.index("theta"), vehicle.index("theta")])
-        sigma = math.sqrt(position + vehicle.footprint.reach**2 * turn)
+        turn = vehicle.footprint.reach**2 * float(covariance[vehicle.index("theta"), vehicle.index("theta")])
+        smaller, larger = np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(pose, pose)]).clip(0.0) + turn).tolist()
+        quantile = float(np.interp(smaller / larger, self._ratios_of_axes, self._quantiles)) if larger > 0.0 else 0.0
         growth = math.hypot(self._settings.growth, 0.5 * UNCORRECTED * uncertainty.acceleration)
+        along = float(self._quantiles[0])  # of what a wrong delay and a wrong drive change: the way
         return DeviationBound(
-            self._quantile * sigma, self._quantile * uncertainty.delay, self._quantile * growth,
-            self._settings.horizon,
-        )  # fmt: skip
+            quantile * larger, along * uncertainty.delay, along * growth, self._settings.horizon, vehicle.top_speed
+        )
 
 
 WAY_MARGIN = 0.05  # distance that the ways of the cost-to-go of poses keep from obstacles where they can (m)
@@ -186,8 +257,9 @@ class Solvers:
 
     def set_bound(self, bound: DeviationBound) -> None:
         """Set the clearance that SAFETY asks for in both."""
+        asked = bound.clearance
         for dirt in (self.checking, self.planning):
-            dirt.set_bound(bound.delta, bound.per_speed, bound.per_time, bound.horizon)
+            dirt.set_bound(asked.delta, asked.per_speed, asked.per_time, asked.horizon)
 
     def set_parameters(self, values: Floats) -> None:
         """Set the parameters of the vehicle (np,) in both."""
@@ -324,11 +396,11 @@ class Levels:
     def set(self, number: int, eased: bool) -> DirtSolver:
         """Ask for the clearance of a level, `eased` for the rest of a plan that keeps it; returns its solver."""
         level, part = self.all[number], HYSTERESIS if eased else 1.0
-        dirt, near = self._solvers.planning, self.bound.kept(level, part)
+        dirt, near = self._solvers.planning, self.bound.kept(level, part).clearance
         self._solvers.checking.set_bound(near.delta, near.per_speed, near.per_time, near.horizon)
         dirt.set_bound(near.delta + part * level.margin, near.per_speed, near.per_time, near.horizon)
         if dirt is not self._solvers.checking:
-            later = self.bound.later.kept(level, part)
+            later = self.bound.later.kept(level, part).clearance
             dirt.set_far(NEAR, later.delta + part * level.margin, later.per_speed)
         dirt.set_cycle(level.foresight)
         return dirt
