@@ -48,7 +48,7 @@ class CalibratedBound(StrictModel):
     """number of cycles that the initial scale counts for"""
     memory_cycles: Annotated[float, Field(ge=2, le=1e6)] = 30.0
     """number of cycles after which an observed deviation has lost most of its weight"""
-    expected_ratio: Positive = 0.3
+    expected_ratio: Positive = 0.2
     """root mean square of observed deviations over the bound where the stated covariance is right"""
     limits: tuple[Positive, Positive] = (0.85, 2.5)
     """least and largest scale"""
