@@ -37,16 +37,6 @@ UNCORRECTED = 0.5  # time for which a wrong acceleration moves the vehicle until
 
 
 @dataclass(frozen=True)
-class Clearance:
-    """Clearance that SAFETY asks for: `delta` + `per_speed` |v| + `per_time` t, with t at most `horizon` s (m, s, m/s)."""
-
-    delta: float
-    per_speed: float
-    per_time: float
-    horizon: float
-
-
-@dataclass(frozen=True)
 class DeviationBound:
     """Bound of a deviation with independent parts: the root of `delta`^2 + (`per_speed` v)^2 + (`per_time` t)^2.
 
@@ -60,28 +50,21 @@ class DeviationBound:
     fastest: float = math.inf
 
     @property
-    def clearance(self) -> Clearance:
-        """Clearance that is nowhere less than the bound, and at rest, at the commit, the same.
+    def clearance(self) -> Safety:
+        """Clearance that is nowhere less than the bound: linear in v and t, as SAFETY needs it.
 
-        The root is convex in v and in t, and less than the sum of what v and t alone add: a chord of each is above it.
+        The root is convex in v and in t, and at most the sum of what v and t alone add to `delta`: chords are above it.
         """
-        return Clearance(
-            self.delta,
-            _chord(self.delta, self.per_speed, self.fastest),
-            _chord(self.delta, self.per_time, self.horizon),
-            self.horizon,
+        return Safety(
+            delta=self.delta,
+            delta_per_speed=_chord(self.delta, self.per_speed, self.fastest),
+            delta_per_time=_chord(self.delta, self.per_time, self.horizon),
+            delta_horizon=self.horizon,
         )
 
     def at(self, since: Floats, speeds: Floats) -> Floats:
         """Clearance (n,) at times (n,) since the commit (s) and speeds (n,), m."""
-        asked = self.clearance
-        safety = Safety(
-            delta=asked.delta,
-            delta_per_speed=asked.per_speed,
-            delta_per_time=asked.per_time,
-            delta_horizon=asked.horizon,
-        )
-        return safety.clearance(speeds, since)
+        return self.clearance.clearance(speeds, since)
 
     def scaled(self, factor: float) -> DeviationBound:
         """Bound times a factor."""
@@ -112,7 +95,7 @@ class DeviationBound:
 
 
 def _chord(constant: float, slope: float, end: float) -> float:
-    """Slope of the chord from 0 to `end` of the root of `constant`^2 + (`slope` x)^2; `slope` itself if it has no end."""
+    """Slope of the chord from 0 to `end` of the root of `constant`^2 + (`slope` x)^2; without an end it is `slope`."""
     if end == 0.0 or constant == 0.0 or math.isinf(end):
         return slope
     return (math.hypot(constant, slope * end) - constant) / end
@@ -259,7 +242,7 @@ class Solvers:
         """Set the clearance that SAFETY asks for in both."""
         asked = bound.clearance
         for dirt in (self.checking, self.planning):
-            dirt.set_bound(asked.delta, asked.per_speed, asked.per_time, asked.horizon)
+            dirt.set_bound(asked.delta, asked.delta_per_speed, asked.delta_per_time, asked.delta_horizon)
 
     def set_parameters(self, values: Floats) -> None:
         """Set the parameters of the vehicle (np,) in both."""
@@ -397,11 +380,12 @@ class Levels:
         """Ask for the clearance of a level, `eased` for the rest of a plan that keeps it; returns its solver."""
         level, part = self.all[number], HYSTERESIS if eased else 1.0
         dirt, near = self._solvers.planning, self.bound.kept(level, part).clearance
-        self._solvers.checking.set_bound(near.delta, near.per_speed, near.per_time, near.horizon)
-        dirt.set_bound(near.delta + part * level.margin, near.per_speed, near.per_time, near.horizon)
+        shape = near.delta_per_speed, near.delta_per_time, near.delta_horizon
+        self._solvers.checking.set_bound(near.delta, *shape)
+        dirt.set_bound(near.delta + part * level.margin, *shape)
         if dirt is not self._solvers.checking:
             later = self.bound.later.kept(level, part).clearance
-            dirt.set_far(NEAR, later.delta + part * level.margin, later.per_speed)
+            dirt.set_far(NEAR, later.delta + part * level.margin, later.delta_per_speed)
         dirt.set_cycle(level.foresight)
         return dirt
 

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import math
+from statistics import NormalDist
 
 import numpy as np
 import pytest
 from support.replanner import mushr, proposals, replanner, start
 
-from kraft.driving.clearance import HYSTERESIS, STEADY, UNCORRECTED, BoundCalibration, DeviationBound
+from kraft.driving.clearance import (
+    HYSTERESIS,
+    STEADY,
+    UNCORRECTED,
+    BoundCalibration,
+    DeviationBound,
+    radius_quantiles,
+)
 from kraft.driving.messages import Commitment, Estimate, PredictedMotion, ReferenceKind, Uncertainty
 from kraft.driving.method import CalibratedBound
 from kraft.driving.proposer import Proposal
@@ -43,12 +51,45 @@ def calibrated(deviation: float, cycles: int, settings: CalibratedBound = SETTIN
 
 def test_the_bound_is_that_of_pose_delay_and_time() -> None:
     bound = BoundCalibration(SETTINGS, mushr()).bound(uncertainty())
-    quantile = math.sqrt(-2.0 * math.log(1.0 - SETTINGS.level))
-    scale = SETTINGS.initial * quantile
-    assert bound.delta == pytest.approx(scale * math.hypot(0.02, mushr().footprint.reach * 0.03))
-    assert bound.per_speed == pytest.approx(scale * 0.01)
-    assert bound.per_time == pytest.approx(scale * SETTINGS.growth)
-    assert bound.horizon == SETTINGS.horizon
+    corner = mushr().footprint.reach * 0.03
+    smaller, larger = math.hypot(0.01, corner), math.hypot(0.02, corner)
+    ratios, quantiles = radius_quantiles(SETTINGS.level)
+    assert bound.delta == pytest.approx(SETTINGS.initial * larger * np.interp(smaller / larger, ratios, quantiles))
+    along = SETTINGS.initial * quantiles[0]
+    assert bound.per_speed == pytest.approx(along * 0.01)
+    assert bound.per_time == pytest.approx(along * SETTINGS.growth)
+    assert (bound.horizon, bound.fastest) == (SETTINGS.horizon, mushr().top_speed)
+
+
+@pytest.mark.parametrize("level", [0.5, 0.9, 0.99, 0.9999])
+def test_quantiles_of_a_line_and_of_a_circle_are_the_known_ones(level: float) -> None:
+    ratios, quantiles = radius_quantiles(level)
+    assert (ratios[0], ratios[-1]) == (0.0, 1.0)
+    assert quantiles[0] == pytest.approx(NormalDist().inv_cdf(0.5 + 0.5 * level), rel=1e-3)
+    assert quantiles[-1] == pytest.approx(math.sqrt(-2.0 * math.log(1.0 - level)))
+    assert (np.diff(quantiles) > 0.0).all()
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.5, 0.8])
+def test_a_deviation_is_as_often_within_its_quantile_as_the_level_says(ratio: float) -> None:
+    deviations = np.random.default_rng(1).normal(size=(400_000, 2)) * [1.0, ratio]
+    quantile = np.interp(ratio, *radius_quantiles(0.99))
+    assert (np.hypot(*deviations.T) <= quantile).mean() == pytest.approx(0.99, abs=6e-4)
+
+
+def test_the_clearance_is_nowhere_less_than_the_parts_of_the_bound_together_and_as_large_where_one_is_alone() -> None:
+    bound = DeviationBound(0.15, 0.2, 0.06, 1.5, fastest=0.7)
+    since, speeds = (each.ravel() for each in np.meshgrid(np.linspace(0.0, 1.5, 16), np.linspace(0.0, 0.7, 15)))
+    together = np.sqrt(0.15**2 + (0.2 * speeds) ** 2 + (0.06 * since) ** 2)
+    assert (bound.at(since, speeds) >= together - 1e-12).all()
+    alone = ((since == 0.0) & np.isin(speeds, [0.0, 0.7])) | ((speeds == 0.0) & np.isin(since, [0.0, 1.5]))
+    assert bound.at(since, speeds)[alone] == pytest.approx(together[alone])
+    assert bound.at(since, speeds).max() < 0.15 + 0.2 * 0.7 + 0.06 * 1.5
+
+
+def test_without_an_error_of_the_pose_the_clearance_is_that_of_speed_and_time() -> None:
+    asked = DeviationBound(0.0, 0.2, 0.06, 1.5, fastest=0.7).clearance
+    assert (asked.delta, asked.delta_per_speed, asked.delta_per_time) == (0.0, 0.2, 0.06)
 
 
 def test_until_the_drive_is_identified_the_bound_grows_faster() -> None:
@@ -71,7 +112,9 @@ def test_the_largest_axis_of_the_position_counts_whatever_its_direction() -> Non
 def test_delta_grows_with_time_until_the_horizon_and_with_speed_in_both_directions() -> None:
     bound = DeviationBound(0.1, 0.2, 0.04, 1.5)
     since, speeds = np.array([-1.0, 0.0, 1.0, 1.5, 9.0]), np.array([0.0, 0.5, -0.5, 0.0, 0.0])
-    assert bound.at(since, speeds) == pytest.approx([0.1, 0.2, 0.24, 0.16, 0.16])
+    grown = math.hypot(0.1, 0.06)
+    expected = [0.1, 0.2, 0.2 + (grown - 0.1) / 1.5, grown, grown]
+    assert bound.at(since, speeds) == pytest.approx(expected)  # of any speed: nothing is spared for it
     assert bound.scaled(0.5).at(since, speeds) == pytest.approx(0.5 * bound.at(since, speeds))
 
 
@@ -104,7 +147,7 @@ def test_deviations_as_large_as_expected_lead_to_a_scale_of_one() -> None:
 def test_old_deviations_lose_their_weight() -> None:
     subject = calibrated(0.3, 10)
     before = subject.factor
-    for _ in range(round(5 * SETTINGS.memory_cycles)):
+    for _ in range(round(7 * SETTINGS.memory_cycles)):
         subject.committed(straight(), uncertainty())
         subject.observe(2.0, np.array([0.5, 0.0, 0.0, 0.5]))
     assert subject.factor == SETTINGS.limits[0] < before

@@ -132,7 +132,7 @@ def test_a_level_asks_for_its_share_its_margin_and_its_foresight() -> None:
     for number, level in enumerate(subject.all):
         safety = subject.set(number, eased=False).safety
         assert safety.delta == pytest.approx(0.1 * level.share + level.margin)
-        assert safety.delta_per_time == pytest.approx(0.05 * level.share)
+        assert safety.delta_per_time == pytest.approx((math.hypot(0.1, 0.05 * 1.5) - 0.1) / 1.5 * level.share)
         assert (safety.cycle, safety.delta_horizon) == (level.foresight, 1.5)
     assert solvers().checking.safety.cycle == 1.0
 
@@ -157,7 +157,7 @@ def test_the_later_part_of_a_plan_keeps_what_the_bound_is_expected_to_be_then() 
     subject = levels()
     subject.bound = DeviationBound(0.2, 0.4, 0.3, 1.5)
     later = subject.bound.later
-    assert later.at(np.zeros(1), np.ones(1)) == pytest.approx(0.2 + 1.5 * LATER_GROWTH + LATER_DELAY)
+    assert later.at(np.zeros(1), np.ones(1)) == pytest.approx(math.hypot(0.2, 1.5 * LATER_GROWTH) + LATER_DELAY)
     safety = subject.set(1, eased=False).safety
     assert (safety.near, safety.far_delta_per_speed) == (NEAR, LATER_DELAY)
     assert safety.far_delta == pytest.approx(0.5 * later.delta + MARGIN)
