@@ -51,7 +51,7 @@ class DeviationBound:
 
     @property
     def clearance(self) -> Safety:
-        """Clearance that is nowhere less than the bound: linear in v and t, as SAFETY needs it.
+        """Clearance, linear in v and t as SAFETY needs it, that is nowhere less than the bound up to the speed `fastest`.
 
         The root is convex in v and in t, and at most the sum of what v and t alone add to `delta`: chords are above it.
         """
@@ -134,7 +134,6 @@ class BoundCalibration:
 
     def __init__(self, settings: CalibratedBound, vehicle: Vehicle) -> None:
         self._settings, self._vehicle = settings, vehicle
-        self._ratios_of_axes, self._quantiles = radius_quantiles(settings.level)
         self._ratios, self._count = settings.prior_cycles * settings.initial**2, settings.prior_cycles
         self._last: tuple[PredictedMotion, DeviationBound] | None = None
 
@@ -172,9 +171,10 @@ class BoundCalibration:
         pose = [vehicle.index("x"), vehicle.index("y")]
         turn = vehicle.footprint.reach**2 * float(covariance[vehicle.index("theta"), vehicle.index("theta")])
         smaller, larger = np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(pose, pose)]).clip(0.0) + turn).tolist()
-        quantile = float(np.interp(smaller / larger, self._ratios_of_axes, self._quantiles)) if larger > 0.0 else 0.0
+        ratios, quantiles = radius_quantiles(self._settings.level)
+        quantile = float(np.interp(smaller / larger, ratios, quantiles)) if larger > 0.0 else 0.0
         growth = math.hypot(self._settings.growth, 0.5 * UNCORRECTED * uncertainty.acceleration)
-        along = float(self._quantiles[0])  # of what a wrong delay and a wrong drive change: the way
+        along = float(quantiles[0])  # of what a wrong delay and a wrong drive change: the way
         return DeviationBound(
             quantile * larger, along * uncertainty.delay, along * growth, self._settings.horizon, vehicle.top_speed
         )
