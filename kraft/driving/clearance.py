@@ -51,7 +51,7 @@ class DeviationBound:
 
     @property
     def clearance(self) -> Safety:
-        """Clearance, linear in v and t as SAFETY needs it, that is nowhere less than the bound up to the speed `fastest`.
+        """Clearance that is nowhere less than the bound: linear in v and t, as SAFETY needs it; v is at most `fastest`.
 
         The root is convex in v and in t, and at most the sum of what v and t alone add to `delta`: chords are above it.
         """
