@@ -9,6 +9,7 @@ end of cycle k; and plans from this state for cycle k + 1.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -51,6 +52,9 @@ from ompl_ext.plan import Plan
 SETTLED = 0.3  # time after the end of a contingency from which on the vehicle stands (s)
 FORGET = 2.0  # time without a plan to the goal after which what blocked a vehicle is forgotten (s)
 ROOM = 0.02  # clearance that the place of a vehicle at rest is taken to have, so that it can leave (m)
+NEARBY = 0.06  # distance from the estimated place within which such a place is looked for: the error of an estimate (m)
+FARTHEST = 0.3  # distance within which a free place is looked for if the estimated one is in an obstacle (m)
+RING, PLACES = 0.02, 24  # distance between two rings of such places (m), and their number in a ring
 NOISE = 0.1  # speed that the estimate of a standing vehicle may have (m/s)
 
 
@@ -283,8 +287,17 @@ class Replanner:
         return self._with_room(self._predict(state, time, cycle_start, current).final_state), current
 
     def _with_room(self, root: Floats) -> Floats:
-        """Predicted start of a cycle; that of a vehicle at rest, by its estimate in an obstacle, has a little room."""
-        return self._nearest_free(root, ROOM) if self._switches and is_resting(self.dirt, root) else root
+        """Predicted start of a cycle; that of a vehicle at rest has a little room, or as much as there is nearby."""
+        if not self._switches or not is_resting(self.dirt, root):
+            return root
+        best, most = root, self._free_by(root)
+        for state in self._around(root, NEARBY):
+            if most >= ROOM:
+                break
+            room = self._free_by(state)
+            if room > most:
+                best, most = state, room
+        return best
 
     def _decide(self, root: Floats, cycle_start: float, estimate: Estimate, current: Commitment) -> Decision:
         """Safety check right before a cycle, from the latest estimate."""
@@ -367,7 +380,8 @@ class Replanner:
         root, tracked = self._at_rest(root), current.reference_at(cycle_start)
         over = tracked.kind is ReferenceKind.CONTINGENCY and cycle_start >= tracked.end
         standing = tracked if over else self._standing(root, cycle_start)
-        predicted = self._predict(root, cycle_start, cycle_start + self._settings.cycle, Commitment(standing))
+        times = cycle_start + np.array([0.0, self._settings.cycle])
+        predicted = PredictedMotion(times, np.vstack([root, root]), self._free_by(root))
         return Decision(standing, predicted, reason, None, standing, ContingencyOrigin.STANDING, predicted)
 
     def _standing(self, state: Floats, time: float) -> Reference:
@@ -394,24 +408,27 @@ class Replanner:
             required_clearance(self.dirt, expected[None, :], 0.0)[0]
         )
 
-    def _nearest_free(self, state: Floats, slack: float = 0.0) -> Floats:
+    def _nearest_free(self, state: Floats) -> Floats:
         """Nearest collision-free state within 0.3 m: a vehicle that still drives has not collided."""
-        vehicle = self.dirt.vehicle
-        x, y, theta = pose_of(state, vehicle)
-        if self._is_free(x, y, theta, slack):
+        if self._free_by(state) >= 0.0:
             return state
-        for ring in range(1, 16):
-            for k in range(24):
-                dx, dy = 0.02 * ring * math.cos(k * math.pi / 12), 0.02 * ring * math.sin(k * math.pi / 12)
-                if self._is_free(x + dx, y + dy, theta, slack):
-                    moved = state.copy()
-                    moved[[vehicle.index("x"), vehicle.index("y")]] = x + dx, y + dy
-                    return moved
-        return state
+        return next((other for other in self._around(state, FARTHEST) if self._free_by(other) >= 0.0), state)
 
-    def _is_free(self, x: float, y: float, theta: float, slack: float) -> bool:
+    def _around(self, state: Floats, farthest: float) -> Iterator[Floats]:
+        """The state at places in rings around its own, the nearest ones first."""
+        pose = [self.dirt.vehicle.index("x"), self.dirt.vehicle.index("y")]
+        for ring in range(1, round(farthest / RING) + 1):
+            for k in range(PLACES):
+                moved, angle = state.copy(), k * math.tau / PLACES
+                moved[pose] += RING * ring * np.array([math.cos(angle), math.sin(angle)])
+                yield moved
+
+    def _free_by(self, state: Floats) -> float:
+        """Lower bound of the clearance of a state (nx,), m; minus infinity outside the workspace."""
         (x0, x1), (y0, y1) = self.dirt.workspace.bounds
-        return x0 <= x <= x1 and y0 <= y <= y1 and self.dirt.pose_slack(x, y, theta) >= slack
+        x, y, theta = pose_of(state, self.dirt.vehicle)
+        inside = x0 <= x <= x1 and y0 <= y <= y1
+        return self.dirt.pose_slack(x, y, theta) if inside else -math.inf
 
     def _with_delta(self, motion: PredictedMotion, cycle_start: float) -> PredictedMotion:
         """A motion with its bound, or with the clearance that SAFETY asks of it, if it asks for any."""
