@@ -13,11 +13,12 @@ from kraft.driving.clearance import Solvers
 from kraft.driving.contingencies import emergency_reference
 from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Geometric
-from kraft.driving.messages import Commitment, Cycle, Estimate, ReferenceKind
+from kraft.driving.messages import Commitment, ContingencyOrigin, Cycle, Estimate, ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings
-from kraft.driving.replanner import Replanner
+from kraft.driving.replanner import NEARBY, Replanner
 from kraft.driving.vehicle_model import CarModel
 from ompl_ext.arrays import Floats
+from ompl_ext.obstacles import box
 
 
 def test_the_first_cycle_executes_the_plan_made_before_the_clock_ran() -> None:
@@ -168,6 +169,27 @@ def test_an_estimate_in_collision_is_moved_to_the_nearest_free_state() -> None:
     cycle = subject.step(Estimate(0.0, inside, 0.0), subject.begin(start()))
     assert subject.dirt.exact.distance(*cycle.predicted.states[0][:3]) > 0.0
     assert math.dist(cycle.predicted.states[0][:2], inside[:2]) < 0.13
+
+
+def between_boxes(gap: float) -> Replanner:
+    """A replanner whose map has a box on either side of the start, `gap` m from the rear half of the vehicle."""
+    x, y, aside = start()[0], start()[1], 0.5 * mushr().footprint.width + gap + 0.2
+    boxes = tuple(box((x + side * aside, y - 0.15), (0.4, 0.4), 0.0) for side in (-1.0, 1.0))
+    subject = replanner(on_board="contingency", safety=Clearance(delta=0.1))
+    subject.set_solvers(subject._solvers.with_obstacles(boxes, subject._settings))
+    return subject
+
+
+@pytest.mark.parametrize("gap", [0.03, 0.035])
+@pytest.mark.parametrize("aside", [0.0, 0.005])
+def test_a_vehicle_at_rest_between_boxes_is_taken_to_stand_near_where_it_is_estimated(gap: float, aside: float) -> None:
+    """There is no place with more room: the nearest one is in front of the boxes, and the vehicle is not there."""
+    subject, place = between_boxes(gap), start() + np.array([aside, 0.0, 0.0, 0.0])
+    cycle = subject.step(Estimate(0.0, place, 0.0), subject.begin(start()))
+    assert cycle.contingency_origin is ContingencyOrigin.STANDING
+    assert math.dist(cycle.predicted.final_state[:2], place[:2]) <= NEARBY + 1e-9
+    np.testing.assert_array_equal(cycle.predicted.states[0], cycle.predicted.final_state)
+    assert subject._free_by(cycle.predicted.final_state) >= subject._free_by(place)
 
 
 def test_every_contingency_ends_at_standstill() -> None:
