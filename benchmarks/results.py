@@ -18,6 +18,7 @@ from pathlib import Path
 from benchmarks import claims as paired
 from benchmarks.claims import Claim
 from kraft.errors import Code, InputError, KraftError
+from kraft.evaluation.experiment import METHODS
 from kraft.evaluation.report.results import Results, read_results
 from kraft.evaluation.statistics import mcnemar, wilson
 from kraft.evaluation.summary import MANY, Result
@@ -125,15 +126,15 @@ def _short(reference: str) -> str:
 
 
 def method_table(found: Sequence[Results]) -> list[str]:
-    """Table with a row for each method and a column for each entry of the first folder."""
-    entries = found[0].summary.entries
-    rows = [["", *(entry.capitalize() for entry in entries)]]
+    """Table with a row for each method, the paper's first, and a column for each entry of the first folder."""
+    entries, rows = found[0].summary.entries, {}
     for each in found:
         by_cell = each.summary.by_cell
         if each.summary.entries == entries:
             for method, title in each.methods.items():
-                rows.append([title, *(cell(by_cell[entry, method]) for entry in entries)])
-    return _markdown(rows)
+                rows[method] = [title, *(cell(by_cell[entry, method]) for entry in entries)]
+    order = [*(method for method in METHODS if method in rows), *(method for method in rows if method not in METHODS)]
+    return _markdown([["", *(entry.capitalize() for entry in entries)], *(rows[method] for method in order)])
 
 
 def cell(result: Result) -> str:
