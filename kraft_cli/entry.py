@@ -1,7 +1,8 @@
-"""Entry point of the process of `kraft`; an interrupt during the import of modules prints no traceback."""
+"""Entry point of the process of `kraft`: no traceback of an interrupt before the command, and none counts after it."""
 
 from __future__ import annotations
 
+import signal
 import sys
 
 
@@ -10,7 +11,9 @@ def main() -> int:
     try:
         from kraft_cli.main import main as run
 
-        return run()
+        status = run()
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        return 130  # ExitStatus.INTERRUPTED, which may not be imported yet
+        status = 130  # ExitStatus.INTERRUPTED, which may not be imported yet
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second interrupt would replace the exit code while Python ends
+    return status

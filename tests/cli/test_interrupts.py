@@ -93,9 +93,12 @@ def test_an_interrupt_while_modules_load_is_quiet(
     def interrupted() -> int:
         raise KeyboardInterrupt
 
+    set_handlers = list[tuple[object, ...]]()
     monkeypatch.setattr(command_line, "main", interrupted)
+    monkeypatch.setattr("kraft_cli.entry.signal.signal", lambda *arguments: set_handlers.append(arguments))
     assert entry.main() == 130
     assert capsys.readouterr().err == "interrupted\n"
+    assert set_handlers == [(signal.SIGINT, signal.SIG_IGN)]
 
 
 def test_an_interrupt_of_the_first_compilation_leaves_a_cache_that_serves_and_a_simpler_processor_plans_the_same(
