@@ -127,14 +127,15 @@ def _short(reference: str) -> str:
 
 def method_table(found: Sequence[Results]) -> list[str]:
     """Table with a row for each method, the paper's first, and a column for each entry of the first folder."""
-    entries, rows = found[0].summary.entries, {}
+    entries, rows = found[0].summary.entries, list[tuple[int, list[str]]]()
     for each in found:
         by_cell = each.summary.by_cell
         if each.summary.entries == entries:
             for method, title in each.methods.items():
-                rows[method] = [title, *(cell(by_cell[entry, method]) for entry in entries)]
-    order = [*(method for method in METHODS if method in rows), *(method for method in rows if method not in METHODS)]
-    return _markdown([["", *(entry.capitalize() for entry in entries)], *(rows[method] for method in order)])
+                place = METHODS.index(method) if method in METHODS else len(METHODS)
+                rows.append((place, [title, *(cell(by_cell[entry, method]) for entry in entries)]))
+    rows.sort(key=lambda row: row[0])
+    return _markdown([["", *(entry.capitalize() for entry in entries)], *(row for _, row in rows)])
 
 
 def cell(result: Result) -> str:

@@ -381,7 +381,7 @@ class Replanner:
         over = tracked.kind is ReferenceKind.CONTINGENCY and cycle_start >= tracked.end
         standing = tracked if over else self._standing(root, cycle_start)
         times = cycle_start + np.array([0.0, self._settings.cycle])
-        predicted = PredictedMotion(times, np.vstack([root, root]), self._free_by(root))
+        predicted = PredictedMotion(times, np.vstack([root, root]), least_slack(self.dirt, root[None, :], 0.0))
         return Decision(standing, predicted, reason, None, standing, ContingencyOrigin.STANDING, predicted)
 
     def _standing(self, state: Floats, time: float) -> Reference:
