@@ -74,6 +74,8 @@ class CalibratedBound(StrictModel):
 
 OF_CONTINGENCIES: Final = frozenset({"safety", "bound", "recover", "on_board", "contingencies", "watchdog"})
 """Settings of a planner that a method without contingencies ignores."""
+FIRST_MOST: Final = 8
+"""Largest budget of the first plan, as a multiple of `first_iterations`; that much is spent if it does not settle."""
 RESERVE = 0.2
 """Share of a cycle that real-time planning leaves unused, as in the original system."""
 
@@ -96,7 +98,7 @@ class PlannerSettings(StrictModel):
     max_iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] | None = None
     """largest budget of a cycle, used while the plan is not settled; `iterations` if left out"""
     first_iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] | None = None
-    """planning budget of the first plan, before the vehicle drives; `iterations` if left out"""
+    """least planning budget of the first plan, before the vehicle drives, see `FIRST_MOST`; `iterations` if left out"""
     retain: Literal["plan", "tree"] = "plan"
     """what a cycle retains of the last one: the rest of the committed `plan`, or that corrected, with its `tree`"""
     switch_gain: NonNegative = 0.0
@@ -138,7 +140,8 @@ class PlannerSettings(StrictModel):
     @property
     def capacity(self) -> int:
         """Number of nodes that the tree has memory for."""
-        return max(10_000, min(200_000, 4 * max(self.largest_budget, self.first_iterations or 0)))
+        first = FIRST_MOST * (self.first_iterations or 0)
+        return max(10_000, min(200_000, max(4 * self.largest_budget, 2 * first)))
 
     @property
     def largest_budget(self) -> int:
@@ -147,9 +150,11 @@ class PlannerSettings(StrictModel):
 
     @property
     def for_first_plan(self) -> PlannerSettings:
-        """Settings with the budget of the first plan: as much again is spent while it is not settled."""
+        """Settings with the budget of the first plan, which is larger while that is not settled."""
         first = self.first_iterations
-        return self if first is None else self.model_copy(update={"iterations": first, "max_iterations": 2 * first})
+        if first is None:
+            return self
+        return self.model_copy(update={"iterations": first, "max_iterations": FIRST_MOST * first})
 
     @property
     def is_safe(self) -> bool:

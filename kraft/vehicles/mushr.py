@@ -1,5 +1,8 @@
 """MuSHR car as a kinematic bicycle about its centre: with a prompt speed, with a lag, with a drive train.
 
+Divisions by parameters are products with their inverses, which are the same for all lanes: a division takes as long as
+ten products.
+
 State [x, y, theta, v] of the point midway between the axles (m, rad, m/s); controls [throttle, steering] with the
 throttle in [0, 1] and the steering angle in rad.  Parameters are those of the paper: wheelbase L (m), steering angle
 when commanded straight phi_diff (rad), speed at full throttle v_delta (m/s).
@@ -10,7 +13,7 @@ from __future__ import annotations
 from dataclasses import replace
 from math import sqrt
 
-from ompl_ext.trigonometry import atan, cos, sin, tan
+from ompl_ext.trigonometry import cos, sin, tan
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
 Values = tuple[float, ...]
@@ -32,8 +35,9 @@ TURNS = ("straight", "left", "right", "hard-left", "hard-right")
 @derivative
 def actuation(u: Values, p: Values) -> Values:
     """Throttle and steering to target speed, cosine and sine of the side-slip angle, curvature over speed."""
-    beta = atan(0.5 * tan(u[1] + p[1]))
-    return p[2] * u[0], cos(beta), sin(beta), 2.0 * sin(beta) / p[0]
+    slip = 0.5 * tan(u[1] + p[1])  # tangent of the side-slip angle
+    c = 1.0 / sqrt(1.0 + slip * slip)
+    return p[2] * u[0], c, slip * c, (2.0 / p[0]) * (slip * c)
 
 
 @derivative
@@ -41,7 +45,7 @@ def bicycle(x: Values, u: Values, tau: float) -> Values:
     """Bicycle about its centre whose speed approaches the target with time constant `tau`."""
     target, c, s, curvature = u
     ct, st = cos(x[2]), sin(x[2])
-    return x[3] * (ct * c - st * s), x[3] * (st * c + ct * s), x[3] * curvature, (target - x[3]) / tau
+    return x[3] * (ct * c - st * s), x[3] * (st * c + ct * s), x[3] * curvature, (1.0 / tau) * (target - x[3])
 
 
 @derivative
@@ -61,12 +65,12 @@ def driven(x: Values, u: Values, p: Values) -> Values:
     """Derivative of the car with time constant tau and friction that takes the throttle u_0 to overcome."""
     target, c, s, curvature = u
     ct, st, v = cos(x[2]), sin(x[2]), x[3]
-    friction = p[2] * p[4] * v / sqrt(v * v + BREAKAWAY * BREAKAWAY)
+    friction, rate = p[2] * p[4] * v / sqrt(v * v + BREAKAWAY * BREAKAWAY), 1.0 / p[3]
     return (
         v * (ct * c - st * s),
         v * (st * c + ct * s),
         v * curvature,
-        ((target - friction) / (1.0 - p[4]) - v) / p[3],
+        rate / (1.0 - p[4]) * (target - friction) - rate * v,
     )
 
 

@@ -21,6 +21,7 @@ from ompl_ext.kernels.costtogo import UNREACHABLE
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     DELTA,
     DELTA_PER_SPEED,
+    GOAL_RADIUS,
     LANE_WIDTH,
     PROBLEM,
     REACH,
@@ -51,6 +52,7 @@ from ompl_ext.kernels.pose_clearances import (  # fmt: skip
     read_field,
 )
 from ompl_ext.kernels.specialise import layout_module_of, module_of, vehicle_being_compiled, vehicle_cache_folder
+from ompl_ext.kernels.unroll import per_component
 
 VEHICLE = vehicle_being_compiled()
 FOLDER = vehicle_cache_folder(VEHICLE)
@@ -62,16 +64,17 @@ WIDTH = LANE_WIDTH
 _planner, _checks = module_of(VEHICLE, "lanes"), layout_module_of(VEHICLE, "checks")
 derivative, actuation, outside, shifted = _planner.derivative, _planner.actuation, _planner.outside, _planner.shifted
 cost_to_go, in_goal, turn_lanes = _checks.cost_to_go, _checks.in_goal, _checks.turn_lanes
-load_state, load_input, load_control = _planner.load_state, _planner.load_input, _planner.load_control
+is_near_goal = _checks.is_near_goal
+load_state, load_input = _planner.load_state, _planner.load_input
 store_state, store_input = _planner.store_state, _planner.store_input
+disturbed = per_component("planned, noise, i", "planned[{k}] + noise[{k}, i]", NU)
 load_parameters, load_low, load_high = _planner.load_parameters, _planner.load_low, _planner.load_high
 AT_INPUT, AT_STEP, AT_OUTSIDE, AT_STAGES = _planner.AT_INPUT, _planner.AT_STEP, _planner.AT_OUTSIDE, _planner.AT_STAGES
 AT_COS, AT_SIN = _checks.AT_COS, _checks.AT_SIN
-# The working block: that of `lanes`, the controls of all rollouts of a batch; the costs of a rollout apart from those
-# of clearances, so far and of all steps (negative while it goes on), the number of its steps, its costs of controls and
-# clearances so far; the rollouts of which clearances are found
-AT_CONTROL = AT_INPUT + _planner.NI * WIDTH
-AT_KNOWN, AT_TOTAL, AT_END, AT_COST, AT_ROLLOUT = (AT_CONTROL + (NU + k) * WIDTH for k in range(5))
+# The working block: that of `lanes`; the costs of a rollout apart from those of controls and clearances, so far and of
+# all steps (negative while it goes on), the number of its steps, its costs of controls and clearances so far; the
+# rollouts of which clearances are found
+AT_KNOWN, AT_TOTAL, AT_END, AT_COST, AT_ROLLOUT = (AT_INPUT + (_planner.NI + k) * WIDTH for k in range(5))
 BLOCK = AT_ROLLOUT + WIDTH
 # The path, after each step: first rows of poses as in `pose_clearances`, and the known costs before the step
 PATH_X, PATH_Y, PATH_HEADING, PATH_ENOUGH, PATH_WHOLE, PATH_KNOWN = (k * WIDTH for k in range(6))
@@ -85,44 +88,43 @@ def memory(steps: int) -> RolloutMemory:
 
 
 @part
-def cut_controls(
-    first: int,
-    count: int,
-    t: int,
+def cut_noise(
     nominal: Matrix,
     drawn: Floats32Cube,
     hold: int,
-    noise: Floats32Cube,
     precision: Floats,
     gamma: float,
     problem: Problem,
-    block: Floats,
+    noise: Floats32Cube,
+    costs: Floats,
 ) -> None:
-    """Controls of a batch of rollouts in step t, within their bounds; `noise` becomes what remains of `drawn` there.
+    """Find what remains of `drawn` in every step when the controls are kept within their bounds, and its costs (n,).
 
-    Each loop reads and writes one array beside the block, so that LLVM can vectorise it.
+    Each of the inner loops writes one array, so that LLVM can vectorise it.
     """
-    for k in range(NU):
-        low, high, planned = problem.controls[k, 0], problem.controls[k, 1], nominal[t, k]
-        weight, at = gamma * precision[k] * planned, AT_CONTROL + k * WIDTH
-        added, left = drawn[t // hold, k, first:], noise[t, k, first:]
-        for i in range(count):
-            block[at + i] = min(max(planned + added[i], low), high)
-        for i in range(count):
-            left[i] = block[at + i] - planned
-        for i in range(count):
-            block[AT_COST + i] += weight * (block[at + i] - planned)
+    costs[:] = 0.0
+    for t in range(len(nominal)):
+        for k in range(NU):
+            planned, added, left = nominal[t, k], drawn[t // hold, k], noise[t, k]
+            low, high = problem.controls[k, 0] - planned, problem.controls[k, 1] - planned
+            weight = gamma * precision[k] * planned
+            for i in range(len(costs)):
+                left[i] = min(max(added[i], low), high)
+            for i in range(len(costs)):
+                costs[i] += weight * left[i]
 
 
 @part
-def advance(lanes: int, problem: Problem, block: Floats) -> None:
-    """Advance every lane by its step under its control, by the midpoint rule; these loops vectorise.
+def advance(first: int, lanes: int, planned: Floats, noise: Matrix, problem: Problem, block: Floats) -> None:
+    """Advance a batch of rollouts by a step under what is planned and its noise, by the midpoint rule.
+
+    These loops vectorise.
 
     The rule is of second order: in steps of 0.05 s a car of 0.7 m/s stays within a millimetre of the exact motion.
     """
     p, low, high = load_parameters(problem.parameters), load_low(problem.limits), load_high(problem.limits)
     for i in range(lanes):
-        store_input(block, AT_INPUT, i, actuation(load_control(block, AT_CONTROL, i), p))
+        store_input(block, AT_INPUT, i, actuation(disturbed(planned, noise, first + i), p))
     for i in range(lanes):
         x, h = load_state(block, 0, i), block[AT_STEP + i]
         store_state(block, AT_STAGES, i, shifted(0.5 * h, derivative(x, load_input(block, AT_INPUT, i), p), x))
@@ -172,17 +174,39 @@ def add_known_costs(
     lanes: int, t: int, steps: int, reference: Matrix, weight: Floats, problem: Problem, block: Floats
 ) -> None:
     """Add the costs of step t that do not depend on clearances; a rollout ends outside the limits or in the goal."""
-    h, start, towards_goal = weight[ROLLOUT_STEP], int64(0), weight[ROLLOUT_GOAL] > 0.0
+    h, left = weight[ROLLOUT_STEP], int64(0)
     for i in range(lanes):
-        if block[AT_OUTSIDE + i] != 0.0 and block[AT_TOTAL + i] < 0.0:
-            block[AT_TOTAL + i], block[AT_END + i] = block[AT_KNOWN + i] + collision_cost(weight, t, steps), t
+        left += int64(block[AT_OUTSIDE + i] != 0.0)
+    if left > 0:
+        end_outside(lanes, t, steps, weight, block)
     if len(reference) > 0:
         turn_lanes(block, lanes)
         for i in range(lanes):
             block[AT_KNOWN + i] += h * tracking_cost(block, i, t, reference, weight)
-    if towards_goal:
-        for i in range(lanes):
-            block[AT_KNOWN + i] += weight[ROLLOUT_GOAL] * h
+    if weight[ROLLOUT_GOAL] > 0.0:
+        add_goal_costs(lanes, t, h * weight[ROLLOUT_GOAL], problem, block)
+
+
+@inlined
+def end_outside(lanes: int, t: int, steps: int, weight: Floats, block: Floats) -> None:
+    """End the rollouts that have left the limits in step t."""
+    for i in range(lanes):
+        if block[AT_OUTSIDE + i] != 0.0 and block[AT_TOTAL + i] < 0.0:
+            block[AT_TOTAL + i], block[AT_END + i] = block[AT_KNOWN + i] + collision_cost(weight, t, steps), t
+
+
+@inlined
+def add_goal_costs(lanes: int, t: int, cost: float, problem: Problem, block: Floats) -> None:
+    """Add the cost of the time of a step; end the rollouts that are in the goal after step t.
+
+    Counting the lanes that are near the goal vectorises, and in most steps there are none.
+    """
+    scalar, start, near = problem.scalar, int64(0), int64(0)
+    for i in range(lanes):
+        block[AT_KNOWN + i] += cost
+    for i in range(lanes):
+        near += int64(is_near_goal(scalar, block[X * WIDTH + i], block[Y * WIDTH + i], scalar[GOAL_RADIUS]))
+    if near > 0:
         for i in range(lanes):
             if in_goal(problem, block, start, i) and block[AT_TOTAL + i] < 0.0:
                 block[AT_TOTAL + i], block[AT_END + i] = block[AT_KNOWN + i], t + 1
@@ -284,17 +308,17 @@ def _roll_out_costs(
     """
     steps, count, least, block = int64(len(nominal)), int64(len(costs)), math.inf, memory.block
     low, high = load_low(problem.limits), load_high(problem.limits)
+    cut_noise(nominal, drawn, hold, precision, weight[ROLLOUT_GAMMA], problem, noise, costs)
     for first in range(0, count, WIDTH):
         lanes, found = min(int64(WIDTH), count - first), costs[first:]
         for i in range(lanes):
             for k in range(NX):
                 block[k * WIDTH + i] = start[k]
             block[AT_STEP + i], block[AT_END + i] = weight[ROLLOUT_STEP], steps
-            block[AT_KNOWN + i], block[AT_TOTAL + i], block[AT_COST + i] = 0.0, -1.0, 0.0
+            block[AT_KNOWN + i], block[AT_TOTAL + i], block[AT_COST + i] = 0.0, -1.0, found[i]
             block[AT_OUTSIDE + i] = outside(load_state(block, 0, i), low, high)
         for t in range(steps):
-            cut_controls(first, lanes, t, nominal, drawn, hold, noise, precision, weight[ROLLOUT_GAMMA], problem, block)
-            advance(lanes, problem, block)
+            advance(first, lanes, nominal[t], noise[t], problem, block)
             keep_path(lanes, weight, problem, block, memory.poses[0], memory.path[t])
             add_known_costs(lanes, t, steps, reference, weight, problem, block)
         limit = least + weight[ROLLOUT_CUTOFF]
