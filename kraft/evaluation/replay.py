@@ -256,12 +256,13 @@ def _branches(parents: Ints, counts: Ints, most: int) -> Ints:
     leaves = np.setdiff1d(np.arange(len(parents)), parents)
     leaves = leaves[np.argsort(np.arange(len(leaves)) * GOLDEN % 1.0)]
     kept, left = dict[int, None](), most
+    before, points_of = parents.tolist(), counts.tolist()
     for leaf in leaves.tolist():
-        branch, node = list[int](), int(leaf)
-        while node >= 0 and node not in kept:
+        branch, node, points = list[int](), leaf, 0
+        while node >= 0 and node not in kept and (points <= left or not kept):
             branch.append(node)
-            node = int(parents[node])
-        points = int(counts[branch].sum())
+            points += points_of[node]
+            node = before[node]
         if points > left and kept:
             continue
         kept.update(dict.fromkeys(reversed(branch)))
