@@ -43,10 +43,14 @@ class Blockage:
     """Counts the time for which a vehicle is on a plan without moving."""
 
     def __init__(self, patience: float, vehicle: Vehicle) -> None:
-        """`patience` is the time after which a vehicle counts as blocked, s."""
+        """`patience` is the time after which a vehicle counts as blocked, s; see `doubt`."""
         self._patience, self._vehicle = patience, vehicle
         self._place: tuple[float, float, float] | None = None
         self._begin = self._since = self._on_plan = self._intended = 0.0
+
+    def doubt(self) -> None:
+        """Wait twice as long from now on: what was found was nothing that a way leads round, maybe nothing at all."""
+        self._patience *= 2.0
 
     def observe(self, time: float, state: Floats, reference: Reference) -> Blocked | None:
         """What blocks a vehicle with an estimated state (nx,) that tracks `reference` at `time` (s), if it is blocked.

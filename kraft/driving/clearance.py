@@ -279,7 +279,7 @@ def method_safety(settings: PlannerSettings) -> Safety:
     return Safety(cycle=settings.cycle, delta=margin.delta, delta_per_speed=margin.delta_per_speed)
 
 
-HYSTERESIS = 0.8  # share of the clearance of a level that suffices for a plan that was made for this level
+HYSTERESIS = 0.8  # share of the clearance of a wide level that suffices for the rest of a plan made for this level
 PAUSE = 3  # cycles for which plans are not compared after one that keeps less was refused
 STEADY = 2  # cycles with the same level after which a higher one is tried
 NARROW = (1.0, 0.5)  # parts of the smallest share that plans keep without the margin before they give up foresight
@@ -377,8 +377,15 @@ class Levels:
             self._least, self._waited = cost, 0
 
     def set(self, number: int, eased: bool) -> DirtSolver:
-        """Ask for the clearance of a level, `eased` for the rest of a plan that keeps it; returns its solver."""
-        level, part = self.all[number], HYSTERESIS if eased else 1.0
+        """Ask for the clearance of a level, `eased` for the rest of a plan that keeps it; returns its solver.
+
+        At a narrow level the clearance is a few centimetres, and a fifth of it is less than what estimates change by in
+        a cycle.  The rest of a plan would be lost in each, so what suffices for it is what suffices when it is checked
+        again.
+        """
+        level, part = self.all[number], 1.0
+        if eased:
+            part = self._settings.recheck if level.narrow else HYSTERESIS
         dirt, near = self._solvers.planning, self.bound.kept(level, part).clearance
         shape = near.delta_per_speed, near.delta_per_time, near.delta_horizon
         self._solvers.checking.set_bound(near.delta, *shape)

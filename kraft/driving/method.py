@@ -74,8 +74,6 @@ class CalibratedBound(StrictModel):
 
 OF_CONTINGENCIES: Final = frozenset({"safety", "bound", "recover", "on_board", "contingencies", "watchdog"})
 """Settings of a planner that a method without contingencies ignores."""
-FIRST_MOST: Final = 8
-"""Largest budget of the first plan, as a multiple of `first_iterations`; that much is spent if it does not settle."""
 RESERVE = 0.2
 """Share of a cycle that real-time planning leaves unused, as in the original system."""
 
@@ -98,7 +96,9 @@ class PlannerSettings(StrictModel):
     max_iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] | None = None
     """largest budget of a cycle, used while the plan is not settled; `iterations` if left out"""
     first_iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] | None = None
-    """least planning budget of the first plan, before the vehicle drives, see `FIRST_MOST`; `iterations` if left out"""
+    """planning budget of the first plan, before the vehicle drives; `iterations` if left out"""
+    first_max_iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] | None = None
+    """largest budget of the first plan, used while it is not settled; twice `first_iterations` if left out"""
     retain: Literal["plan", "tree"] = "plan"
     """what a cycle retains of the last one: the rest of the committed `plan`, or that corrected, with its `tree`"""
     switch_gain: NonNegative = 0.0
@@ -140,8 +140,7 @@ class PlannerSettings(StrictModel):
     @property
     def capacity(self) -> int:
         """Number of nodes that the tree has memory for."""
-        first = FIRST_MOST * (self.first_iterations or 0)
-        return max(10_000, min(200_000, max(4 * self.largest_budget, 2 * first)))
+        return max(10_000, min(200_000, max(4 * self.largest_budget, 2 * self.for_first_plan.largest_budget)))
 
     @property
     def largest_budget(self) -> int:
@@ -150,11 +149,11 @@ class PlannerSettings(StrictModel):
 
     @property
     def for_first_plan(self) -> PlannerSettings:
-        """Settings with the budget of the first plan, which is larger while that is not settled."""
+        """Settings with the budget of the first plan."""
         first = self.first_iterations
         if first is None:
             return self
-        return self.model_copy(update={"iterations": first, "max_iterations": FIRST_MOST * first})
+        return self.model_copy(update={"iterations": first, "max_iterations": self.first_max_iterations or 2 * first})
 
     @property
     def is_safe(self) -> bool:
@@ -189,6 +188,14 @@ class PlannerSettings(StrictModel):
                 f"expected at least {self.iterations}",
                 ("max_iterations",),
             )
+        if self.first_max_iterations is not None:
+            least = self.first_iterations
+            if least is None:
+                problem, expected = "is given without first_iterations", "expected both, or neither"
+                raise refuse(problem, expected, ("first_max_iterations",), Code.CONFLICT)
+            if self.first_max_iterations < least:
+                problem = f"is {self.first_max_iterations}, less than first_iterations"
+                raise refuse(problem, f"expected at least {least}", ("first_max_iterations",))
         if not self.is_safe or self.mode == "one-shot":
             chosen = {"on_board": self.on_board == "contingency", "contingencies": self.contingencies == "tracked"}
             for name in [name for name, is_chosen in chosen.items() if is_chosen]:

@@ -236,6 +236,7 @@ class Replanner:
             return found.begin, estimate.time
         if self._blocked and self._fruitless * self._settings.cycle > FORGET:
             self._block((), "no way leads round what blocked the vehicle")
+            self._blockage.doubt()
         return None
 
     def _block(self, obstacles: tuple[Polygon, ...], reason: str) -> None:
