@@ -49,6 +49,13 @@ def test_a_vehicle_whose_plans_hardly_intend_to_move_is_blocked_after_longer() -
     assert cycles == (13,)  # after 3.2 s, when 0.2 m over 3.2 have been intended
 
 
+def test_after_a_doubt_a_vehicle_is_blocked_after_twice_as_long() -> None:
+    subject = Blockage(PATIENCE, mushr())
+    subject.doubt()
+    found = [subject.observe(k * CYCLE, STATE, reference()) for k in range(11)]
+    assert [k for k, each in enumerate(found) if each is not None] == [8]
+
+
 def test_a_vehicle_that_moves_or_turns_is_not_blocked() -> None:
     moving = STATE + np.outer(np.arange(20), [0.0, 0.02, 0.0, 0.0])
     turning = STATE + np.outer(np.arange(20), [0.0, 0.0, 0.05, 0.0])
@@ -135,6 +142,8 @@ def test_what_blocked_the_vehicle_is_forgotten_where_it_leaves_no_way() -> None:
     cycles = held(subject, round(FORGET / CYCLE) + 4, start())
     assert any("no way leads round" in cycle.reason for cycle in cycles)
     assert cycles[-1].blocked == subject._blocked == ()
+    assert subject._blockage is not None
+    assert subject._blockage._patience == 2.0 * PATIENCE
 
 
 def test_one_shot_methods_refuse_the_setting() -> None:

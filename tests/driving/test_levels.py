@@ -146,11 +146,24 @@ def test_only_narrow_levels_give_up_what_the_bound_asks_for_the_speed_and_never_
     for number, level in enumerate(subject.all):
         expected = per_speed if number < subject.wide else unknown + level.share * KNOWN_DELAY
         assert subject.set(number, eased=False).safety.delta_per_speed == pytest.approx(expected)
-        assert subject.set(number, eased=True).safety.delta_per_speed == pytest.approx(expected * HYSTERESIS)
-        assert solvers().checking.safety.delta_per_speed == pytest.approx(expected * HYSTERESIS)
+        part = HYSTERESIS if number < subject.wide else BOUND.recheck
+        assert subject.set(number, eased=True).safety.delta_per_speed == pytest.approx(expected * part)
+        assert solvers().checking.safety.delta_per_speed == pytest.approx(expected * part)
         subject.kept = number
         subject.require()
         assert solvers().checking.safety.delta_per_speed == pytest.approx(expected * BOUND.recheck)
+
+
+def test_the_rest_of_a_plan_needs_at_a_narrow_level_what_suffices_when_it_is_checked_again() -> None:
+    subject = levels()
+    subject.bound = DeviationBound(0.1, 0.2, 0.05, 1.5)
+    narrow = subject.wide
+    subject.keep(narrow, stalled=False)
+    rest = subject.set(narrow, eased=True).safety
+    subject.require()
+    again = solvers().checking.safety
+    assert (rest.delta, rest.delta_per_speed) == pytest.approx((again.delta, again.delta_per_speed))
+    assert rest.delta < HYSTERESIS * subject.set(narrow, eased=False).safety.delta
 
 
 def test_the_later_part_of_a_plan_keeps_what_the_bound_is_expected_to_be_then() -> None:

@@ -137,6 +137,15 @@ def test_the_largest_budget_is_not_below_the_smallest() -> None:
     assert PlannerSettings(mode="replanning", iterations=1000).largest_budget == 1000
 
 
+def test_the_largest_budget_of_the_first_plan_is_not_below_its_smallest() -> None:
+    with pytest.raises(ValueError, match="less than first_iterations"):
+        PlannerSettings(mode="replanning", first_iterations=1000, first_max_iterations=999)
+    with pytest.raises(ValueError, match="without first_iterations"):
+        PlannerSettings(mode="replanning", first_max_iterations=999)
+    chosen = [PlannerSettings(mode="replanning", first_iterations=900, first_max_iterations=k) for k in (None, 5000)]
+    assert [each.for_first_plan.largest_budget for each in chosen] == [1800, 5000]
+
+
 @cache
 def two_ways() -> tuple[Plan, Plan]:
     """Two plans that pass the first box of Boxes on different sides, the cheaper one first."""
