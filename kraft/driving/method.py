@@ -191,7 +191,7 @@ class PlannerSettings(StrictModel):
         if self.first_max_iterations is not None:
             least = self.first_iterations
             if least is None:
-                problem, expected = "is given without first_iterations", "expected both, or neither"
+                problem, expected = "is given without first_iterations", "expected first_iterations, too"
                 raise refuse(problem, expected, ("first_max_iterations",), Code.CONFLICT)
             if self.first_max_iterations < least:
                 problem = f"is {self.first_max_iterations}, less than first_iterations"
