@@ -1,7 +1,6 @@
 """MuSHR car as a kinematic bicycle about its centre: with a prompt speed, with a lag, with a drive train.
 
-Divisions by parameters are products with their inverses, which are the same for all lanes: a division takes as long as
-ten products.
+Divisions by parameters are products with their inverses, which are the same for all lanes and computed once.
 
 State [x, y, theta, v] of the point midway between the axles (m, rad, m/s); controls [throttle, steering] with the
 throttle in [0, 1] and the steering angle in rad.  Parameters are those of the paper: wheelbase L (m), steering angle

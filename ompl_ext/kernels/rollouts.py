@@ -169,24 +169,6 @@ def collision_cost(weight: Floats, t: int, steps: int) -> float:
     return float(weight[ROLLOUT_COLLISION] * (1.0 + (steps - t) / steps))
 
 
-@part
-def add_known_costs(
-    lanes: int, t: int, steps: int, reference: Matrix, weight: Floats, problem: Problem, block: Floats
-) -> None:
-    """Add the costs of step t that do not depend on clearances; a rollout ends outside the limits or in the goal."""
-    h, left = weight[ROLLOUT_STEP], int64(0)
-    for i in range(lanes):
-        left += int64(block[AT_OUTSIDE + i] != 0.0)
-    if left > 0:
-        end_outside(lanes, t, steps, weight, block)
-    if len(reference) > 0:
-        turn_lanes(block, lanes)
-        for i in range(lanes):
-            block[AT_KNOWN + i] += h * tracking_cost(block, i, t, reference, weight)
-    if weight[ROLLOUT_GOAL] > 0.0:
-        add_goal_costs(lanes, t, h * weight[ROLLOUT_GOAL], problem, block)
-
-
 @inlined
 def end_outside(lanes: int, t: int, steps: int, weight: Floats, block: Floats) -> None:
     """End the rollouts that have left the limits in step t."""
@@ -210,6 +192,24 @@ def add_goal_costs(lanes: int, t: int, cost: float, problem: Problem, block: Flo
         for i in range(lanes):
             if in_goal(problem, block, start, i) and block[AT_TOTAL + i] < 0.0:
                 block[AT_TOTAL + i], block[AT_END + i] = block[AT_KNOWN + i], t + 1
+
+
+@part
+def add_known_costs(
+    lanes: int, t: int, steps: int, reference: Matrix, weight: Floats, problem: Problem, block: Floats
+) -> None:
+    """Add the costs of step t that do not depend on clearances; a rollout ends outside the limits or in the goal."""
+    h, left = weight[ROLLOUT_STEP], int64(0)
+    for i in range(lanes):
+        left += int64(block[AT_OUTSIDE + i] != 0.0)
+    if left > 0:
+        end_outside(lanes, t, steps, weight, block)
+    if len(reference) > 0:
+        turn_lanes(block, lanes)
+        for i in range(lanes):
+            block[AT_KNOWN + i] += h * tracking_cost(block, i, t, reference, weight)
+    if weight[ROLLOUT_GOAL] > 0.0:
+        add_goal_costs(lanes, t, h * weight[ROLLOUT_GOAL], problem, block)
 
 
 @part
