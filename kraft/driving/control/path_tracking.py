@@ -9,7 +9,6 @@ every cycle.
 from __future__ import annotations
 
 import copy
-import itertools
 import math
 from typing import Final
 
@@ -18,87 +17,41 @@ import numpy as np
 from kraft.driving.control_settings import Geometric, Kinodynamic
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.vehicle_model import CarModel
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.checker import EdgeChecker
 from ompl_ext.kernels import tracking as at
+from ompl_ext.kernels.paths import LAID, SPACING, paths
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.kernels.tracking import Law, Ticks, Track, tracking
 
-SPACING: Final = 0.02
-"""Distance between samples of a path, m."""
-STANDSTILL_SPEED: Final = 1e-3
-"""Speed below which there is no direction of travel, m/s."""
 
+def track_of(reference: Reference, where: Ints, offset: float) -> Track:
+    """Paths of the point `offset` m ahead of the centre (behind it in reverse), in the order of time.
 
-def track_of(reference: Reference, model: CarModel, offset: float) -> Track:
-    """Paths of the point `offset` m ahead of the centre (behind it in reverse), in the order of time."""
-    states, times = reference.states, reference.times
-    directions = _travel_directions(states[:, model.v])
-    cuts = [0, *(int(k) for k in np.flatnonzero(np.diff(directions))), len(times) - 1]
-    parts = [(int(directions[b]), slice(a, b + 1)) for a, b in itertools.pairwise(cuts)]
-    paths = [_path(reference, model, offset, direction, part) for direction, part in parts]
+    `where` (7,) are the components of states and controls, as `Law` has them.
+    """
+    times = np.ascontiguousarray(reference.times, dtype=np.float64)
+    states = np.ascontiguousarray(reference.states, dtype=np.float64)
+    controls = np.ascontiguousarray(reference.controls, dtype=np.float64).reshape(-1, len(reference.rest))
+    count = len(times)
+    laid, begin, first = np.empty((LAID, 2 * count)), np.empty(count + 2, np.int64), np.empty(count + 2, np.int64)
+    direction, spacing = np.empty(count + 1, np.int64), np.empty(count + 1)
+    number = paths().lay(states, times, where, offset, laid, begin, first, direction, spacing)
+    first, direction, spacing = first[: number + 1], direction[:number], spacing[:number]
+    samples = np.empty((at.ROWS, first[-1]))
+    paths().sample(laid, begin, first, direction, spacing, times, controls, reference.rest, where, samples)
     stop = reference.stop
     kind = math.inf if stop is None else stop.begin, 0 if stop is None else stop.manoeuvre
     return Track(
-        samples=np.hstack([samples for samples, _ in paths]),
-        first=np.cumsum([0, *(samples.shape[1] for samples, _ in paths)]),
-        direction=np.array([direction for direction, _ in parts]),
-        spacing=np.array([spacing for _, spacing in paths]),
-        times=np.ascontiguousarray(times, dtype=np.float64),
-        controls=np.ascontiguousarray(reference.controls, dtype=np.float64).reshape(-1, len(reference.rest)),
+        samples=samples,
+        first=first,
+        direction=direction,
+        spacing=spacing,
+        times=times,
+        controls=controls,
         rest=reference.rest,
         kind=np.array([reference.kind is ReferenceKind.PLAN, *kind], dtype=np.float64),
     )
-
-
-def _travel_directions(speeds: Floats) -> Floats:
-    """Direction of travel of each sample, 1 or -1; at standstill the last direction before, or else the first after."""
-    signs = np.where(np.abs(speeds) > STANDSTILL_SPEED, np.sign(speeds), 0.0)
-    moving = np.flatnonzero(signs)
-    if len(moving) == 0:
-        return np.ones(len(speeds))
-    before = np.maximum(np.searchsorted(moving, np.arange(len(speeds)), side="right") - 1, 0)
-    result: Floats = signs[moving[before]]
-    return result
-
-
-def _path(reference: Reference, model: CarModel, offset: float, direction: int, part: slice) -> tuple[Matrix, float]:
-    """Samples (8, n) of a part of a reference, and the distance between them (m)."""
-    states, times = reference.states[part], reference.times[part]
-    theta = np.unwrap(states[:, model.theta])
-    x = states[:, model.x] + direction * offset * np.cos(theta)
-    y = states[:, model.y] + direction * offset * np.sin(theta)
-    arc_lengths = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
-    count = max(1, math.ceil(arc_lengths[-1] / SPACING)) if arc_lengths[-1] > 1e-6 else 0
-    even_lengths = np.linspace(0.0, arc_lengths[-1], count + 1)
-    samples = np.empty((at.ROWS, count + 1))
-    samples[at.TIME] = np.interp(even_lengths, arc_lengths, times)
-    for row, values in ((at.X, x), (at.Y, y), (at.THETA, theta)):
-        samples[row] = np.interp(even_lengths, arc_lengths, values)
-    samples[[at.THROTTLE, at.STEERING]] = _controls(reference, samples[at.TIME])[:, [model.throttle, model.steering]].T
-    samples[[at.AHEAD_X, at.AHEAD_Y]] = _ahead(samples, direction)
-    return samples, float(arc_lengths[-1]) / count if count else 0.0
-
-
-def _controls(reference: Reference, times: Floats) -> Matrix:
-    """Planned controls (n, nu) at `times`; at the end of the reference its last control."""
-    if len(reference.controls) == 0:
-        return np.tile(reference.rest, (len(times), 1))
-    k = np.searchsorted(reference.times, times, side="right") - 1
-    held: Matrix = reference.controls[np.clip(k, 0, len(reference.controls) - 1)]
-    return held
-
-
-def _ahead(samples: Matrix, direction: int) -> Matrix:
-    """Unit vectors (2, n) in the direction of travel: from the sample before to the one after, else the heading's."""
-    padded = samples[[at.X, at.Y]][:, [0, *range(samples.shape[1]), -1]]
-    ahead = padded[:, 2:] - padded[:, :-2]
-    lengths = np.array(list(map(math.hypot, *ahead.tolist())))
-    for k in np.flatnonzero(lengths <= 1e-9):
-        theta, lengths[k] = float(samples[at.THETA, k]), 1.0
-        ahead[:, k] = direction * math.cos(theta), direction * math.sin(theta)
-    ahead /= lengths
-    return ahead
 
 
 class PathTracker:
@@ -128,7 +81,7 @@ class PathTracker:
             parameters=model.vehicle.parameter_array,
             functions=kernels(model.vehicle).functions,
         )
-        tracking()  # loaded here, before the vehicle drives
+        tracking(), paths()  # loaded here, before the vehicle drives
 
     def __deepcopy__(self, memo: object) -> PathTracker:
         """Copy the indices and share model, reference and paths, which are immutable."""
@@ -156,7 +109,7 @@ class PathTracker:
     def set_reference(self, reference: Reference, time: float) -> None:
         """Set the reference; for a new one, select the path and the sample that are planned for `time` (s)."""
         if reference is not self._reference:
-            self._reference, self.track = reference, track_of(reference, self._model, self._offset)
+            self._reference, self.track = reference, track_of(reference, self.law.where, self._offset)
             tracking().begin(self.track, self.where, time)
 
     def next_path(self, time: float) -> None:

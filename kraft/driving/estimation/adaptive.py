@@ -43,6 +43,7 @@ from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
 from kraft.vehicles import FORCE, STEEPEST, felt_gravity
 from ompl_ext.arrays import Floats, Ints, Matrix
+from ompl_ext.kernels.pose_fusion import Sensor
 from ompl_ext.vehicle import Vehicle
 
 DELAY: Final = "delay"
@@ -336,7 +337,9 @@ class CorrelatedFilter(PoseFilter):
     """Filter whose state (nx + 9,) has errors of the pose beside the excess of the speed: correlated ones, and offsets.
 
     The offset is that of the camera at the place of the vehicle.  Only the start, which is known, tells about it.  The
-    last components are the floor, by which a camera that takes it as level is wrong.
+    last components are the floor, by which a camera that takes it as level is wrong.  Poses do not correct it: errors
+    of the camera are not taken for slopes.  Its uncertainty is part of all covariances; only the identified force tells
+    about it.
     """
 
     def __init__(
@@ -350,15 +353,15 @@ class CorrelatedFilter(PoseFilter):
         self._components = np.arange(process.size - ERRORS, process.size)
         process.same[model.theta], process.same[model.velocities] = SAME_TURN, SAME_ACCELERATION
         process.varying[:] = self._part(CORRELATED)[[0, -1]] + (0, 1)
-        self._by_state = np.zeros((3, process.size))
-        for measured in (self._pose, self._part(CORRELATED), self._part(OFFSET)):
-            self._by_state[range(3), measured] = 1.0
-        """derivative of a pose by the state, on a level floor"""
         if settings.identify:
             process.spread = stated_spread(model.vehicle)
         offset = settings.position_offset, settings.position_offset, math.radians(settings.heading_offset_deg)
         self._set_variance(OFFSET, np.square(offset), settings.offset_time)
-        self._camera = camera
+        self._sensor = Sensor(
+            parts=np.stack([self._pose, self._part(CORRELATED), self._part(OFFSET)]),
+            floor=self._part(FLOOR),
+            camera=np.zeros(0) if camera is None else camera.values,
+        )
         if camera is not None:
             self.posterior.covariance[self._part(FLOOR), self._part(FLOOR)] = slope_deviations(model.vehicle) ** 2
 
@@ -423,28 +426,6 @@ class CorrelatedFilter(PoseFilter):
         values, axes = np.linalg.eigh(covariance)
         self._process_model.spread = np.ascontiguousarray((axes * np.sqrt(np.maximum(values, 0.0))).T)
 
-    def _expected(self, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix, Matrix]:
-        jacobian, pose = self._by_state.copy(), mean[self._pose]
-        if self._camera is not None:
-            pose, found = self._camera.linearised(pose, mean[self._part(FLOOR)])
-            jacobian[:, self._pose], jacobian[:, self._part(FLOOR)] = found[:, :3], found[:, 3:]
-        for part in (CORRELATED, OFFSET):
-            pose = pose + mean[self._part(part)]
-        cross = covariance @ jacobian.T
-        return pose, cross, jacobian @ cross
-
-    def _gain(self, covariance: Matrix, cross_covariance: Matrix, innovation: Matrix) -> tuple[Matrix, Matrix]:
-        """Gain that leaves the floor as it is (Schmidt's filter): errors of the camera are not taken for slopes.
-
-        Its uncertainty is part of all covariances; only the identified force tells about it.
-        """
-        gain, after = super()._gain(covariance, cross_covariance, innovation)
-        floor = self._part(FLOOR)
-        gain[floor] = 0.0
-        after[floor, :] = covariance[floor, :] - cross_covariance[floor] @ gain.T
-        after[:, floor] = after[floor, :].T
-        return gain, after
-
     def _after_outlier(self, posterior: Posterior, pose: Observation, prior: Prior, whitened: Floats) -> Posterior:
         """Posterior with the correlated errors as uncertain as it takes to make an outlier as likely as the limit is.
 
@@ -485,4 +466,4 @@ class CorrelatedFilter(PoseFilter):
         _, after = self._gain(covariance, cross, expected + self._noise)
         mean[self._pose] += 0.5 * error
         mean[correlated] += -0.5 * error
-        return Posterior(posterior.time, mean, 0.5 * (after + after.T), posterior.observation)
+        return Posterior(posterior.time, mean, after, posterior.observation)

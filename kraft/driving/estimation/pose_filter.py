@@ -12,9 +12,8 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -23,8 +22,10 @@ from kraft.driving.estimation.dead_reckoning import DeadReckoning
 from kraft.driving.messages import Estimate, Observation, PoseBelief
 from kraft.driving.method import Filter
 from kraft.driving.vehicle_model import VehicleModel
+from kraft.errors import Defect
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels.moments import Motion, moments
+from ompl_ext.kernels.pose_fusion import FLOOR_SIZE, HALF_LENGTH, INPUTS, WORK, Sensor, pose_fusion
 from ompl_ext.kernels.specialise import kernels
 
 MAX_HISTORY: Final = 32
@@ -144,6 +145,8 @@ class PoseFilter:
         self._pose = np.array([model.x, model.y, model.theta])
         self._pose_block = np.ix_(self._pose, self._pose)
         self._noise = np.diag([settings.position_noise**2, settings.position_noise**2, heading**2])
+        self._sensor = Sensor(self._pose[None], floor=np.zeros(0, np.int64), camera=np.zeros(0))
+        self._fusion, self._work = pose_fusion(), np.empty(WORK)
         self._variance_rate = self._process_model.variance_rate
         self._variance_rate[: len(start_state)] = model.velocity_drift(settings.speed_drift)
         self._variance_rate[self._pose] = settings.drift**2, settings.drift**2, drift**2
@@ -219,9 +222,12 @@ class PoseFilter:
         mean, covariance = self._predict(posterior, pose.time)
         (x, y, theta), cross_covariance, pose_covariance = self._expected(mean, covariance)
         innovation = np.array([pose.x - x, pose.y - y, math.remainder(pose.theta - theta, math.tau)])
-        prior = Prior(mean, covariance, innovation, cross_covariance, pose_covariance)
-        whitened = np.linalg.solve(np.linalg.cholesky(pose_covariance + self._noise), innovation)
-        if math.sqrt(float(whitened @ whitened)) > self._limit:
+        prior, whitened = Prior(mean, covariance, innovation, cross_covariance, pose_covariance), np.empty(3)
+        self._fusion.whiten(pose_covariance + self._noise, innovation, self._work, whitened)
+        distance = math.sqrt(float(whitened @ whitened))
+        if math.isnan(distance):
+            raise Defect(f"the covariance of the pose at t = {pose.time:.3f} s is not positive definite")
+        if distance > self._limit:
             return self._after_outlier(posterior, pose, prior, whitened)
         return self._fused(pose, prior, self._noise)
 
@@ -237,20 +243,22 @@ class PoseFilter:
     def _fused(self, pose: Observation, prior: Prior, noise: Matrix, outliers: tuple[Floats, ...] = ()) -> Posterior:
         """Posterior after a pose with a `noise` (3, 3)."""
         gain, after = self._gain(prior.covariance, prior.cross_covariance, prior.pose_covariance + noise)
-        mean = prior.mean + gain @ prior.innovation
-        return Posterior(pose.time, mean, 0.5 * (after + after.T), pose, outliers)
+        return Posterior(pose.time, prior.mean + gain @ prior.innovation, after, pose, outliers)
 
     def _gain(self, covariance: Matrix, cross_covariance: Matrix, innovation: Matrix) -> tuple[Matrix, Matrix]:
         """Gain (n, 3) of a pose, and the covariance (n, n) after it.
 
         `cross_covariance` (n, 3) is of the state with the expected pose, `innovation` (3, 3) that of the innovation.
         """
-        gain = np.asarray(np.linalg.solve(innovation, cross_covariance.T).T)
-        return gain, covariance - gain @ cross_covariance.T
+        gain, after = np.empty_like(cross_covariance), np.empty_like(covariance)
+        self._fusion.correct(covariance, cross_covariance, innovation, self._sensor.floor, self._work, gain, after)
+        return gain, after
 
     def _expected(self, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix, Matrix]:
         """Expected pose (3,), its covariance with the state (n, 3), and its covariance without noise (3, 3)."""
-        return mean[self._pose], covariance[:, self._pose], covariance[self._pose_block]
+        pose, cross, expected = np.empty(3), np.empty((len(mean), 3)), np.empty((3, 3))
+        self._fusion.expect(mean, covariance, self._sensor, self._work, pose, cross, expected)
+        return pose, cross, expected
 
     def _reset(self, pose: Observation, prior: Prior) -> Posterior:
         """Posterior with the pose reset to a measured one."""
@@ -268,16 +276,6 @@ def _chi_limit(confidence: float) -> float:
     return math.sqrt(2.0 * float(gammaincinv(1.5, confidence)))
 
 
-HALF_LENGTH: Final = 0.1
-"""Half the distance between two points that show a heading, m."""
-DIFFERENCE: Final = 1e-4
-"""Step of the numeric derivatives, SI."""
-FLOOR_SIZE: Final = 2
-"""Number of components of a floor: rise per metre of floor along x and along y."""
-STEPS: Final = DIFFERENCE * np.vstack([np.zeros(5), np.eye(5), -np.eye(5)])
-"""Changes (11, 5) of a pose and a floor for the derivatives."""
-
-
 @dataclass(frozen=True)
 class LevelCamera:
     """Camera at `position` (x, y, z) m that takes the floor as level, and the marker as `marker_height` m above it.
@@ -291,32 +289,25 @@ class LevelCamera:
 
     def linearised(self, pose: Floats, floor: Floats) -> tuple[Floats, Matrix]:
         """Measured pose (3,), and its Jacobian (3, 5) with respect to the pose and the floor."""
-        seen = self._observed(pose + STEPS[:, :3], floor + STEPS[:, 3:])
-        return seen[0], (seen[1:6] - seen[6:]).T / (2.0 * DIFFERENCE)
+        seen, jacobian = np.empty(3), np.empty((3, INPUTS))
+        pose_fusion().see(self.values, np.concatenate([pose, floor]), seen, jacobian, np.empty((2, INPUTS)))
+        return seen, jacobian
+
+    @property
+    def values(self) -> Floats:
+        """(6,) that compiled code reads, see `ompl_ext.kernels.pose_fusion`."""
+        return np.array([*self.position, self.marker_height, *self.start], dtype=np.float64)
 
     def on_floor(self, poses: Matrix, floor: Floats) -> Matrix:
-        """Poses (n, 3) on a floor (2,), given those (n, 3) that were measured."""
-        return _mapped(poses, partial(self._place_on_floor, floor=floor))
-
-    def _observed(self, poses: Matrix, floors: Matrix) -> Matrix:
-        """Measured poses (n, 3) of poses (n, 3) on a floor (2,) each."""
-        return _mapped(poses, partial(self._observed_place, floors=floors))
-
-    def _observed_place(self, places: Matrix, floors: Matrix) -> Matrix:
-        """Measured places (n, 2) of the marker for places (n, 2) of the vehicle, on a floor (2,) each."""
-        x, y, z = self.position
-        slope, away = floors, places - self.start
-        square, product = slope * slope, slope * away
-        level = np.sqrt(np.maximum(1.0 - (square[:, 0] + square[:, 1]), 0.0))  # cosine of the angle of the slope
-        rise = product[:, 0] + product[:, 1]
-        marker = self.start + away - (rise / (1.0 + level) + self.marker_height)[:, None] * slope
-        height = rise + self.marker_height * level
-        stretch = (z - self.marker_height) / np.maximum(z - height, 0.1 * z)
-        seen: Matrix = (x, y) + stretch[:, None] * (marker - (x, y))
-        return seen
+        """Poses (n, 3) on a floor (2,), given those (n, 3) that were measured; a heading stays within half a turn."""
+        along = HALF_LENGTH * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+        front, rear = (self._place_on_floor(poses[:, :2] + sign * along, floor) for sign in (1.0, -1.0))
+        turned = np.arctan2(*(front - rear).T[::-1]) - poses[:, 2]
+        turned -= math.tau * np.round(turned / math.tau)
+        return np.column_stack([0.5 * (front + rear), poses[:, 2] + turned])
 
     def _place_on_floor(self, seen: Matrix, floor: Floats) -> Matrix:
-        """Inverse of `_observed_place` for one floor: where the line of sight meets the plane of the marker."""
+        """Places (n, 2) of the vehicle for measured ones: where the line of sight meets the plane of the marker."""
         x, y, z = self.position
         slope, level = floor, math.sqrt(max(1.0 - float(floor @ floor), 0.0))
         # The marker is at `camera` + share (seen - camera), at the height z - share (z - marker_height).
@@ -365,18 +356,6 @@ class ConstantOfDrive:
         self._results.append((end, information, score))
         joined = np.asarray(np.linalg.inv(information), dtype=float)
         return joined @ score, joined
-
-
-def _mapped(poses: Matrix, place: Callable[[Matrix], Matrix]) -> Matrix:
-    """Poses (n, 3) of which `place` maps the two points that show the heading; it stays within half a turn."""
-    along = np.empty((len(poses), 2))
-    along[:, 0], along[:, 1] = HALF_LENGTH * np.cos(poses[:, 2]), HALF_LENGTH * np.sin(poses[:, 2])
-    front, rear = place(poses[:, :2] + along), place(poses[:, :2] - along)
-    turned = np.arctan2(*(front - rear).T[::-1]) - poses[:, 2]
-    turned -= math.tau * np.round(turned / math.tau)
-    mapped = np.empty((len(poses), 3))
-    mapped[:, :2], mapped[:, 2] = 0.5 * (front + rear), poses[:, 2] + turned
-    return mapped
 
 
 CORRELATED, OFFSET, FLOOR = slice(0, 3), slice(3, 6), slice(6, 6 + FLOOR_SIZE)

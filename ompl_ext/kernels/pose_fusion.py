@@ -1,0 +1,217 @@
+"""Kalman update of a state by an observed pose, which errors and the slope of the floor add to.
+
+A camera that takes the floor as level reports where its line of sight to the marker meets the plane in which the marker
+would move on a level floor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
+
+from numba import types
+
+from ompl_ext.arrays import Floats, IntMatrix, Ints, Matrix
+from ompl_ext.jit import compiled, part
+from ompl_ext.kernels.kernel_types import numba_type
+
+HALF_LENGTH = 0.1  # half the distance between two points that show a heading (m)
+DIFFERENCE = 1e-4  # step of numeric derivatives by pose and floor (SI)
+FLOOR_SIZE = 2  # components of a floor: rise per metre of floor along x and along y
+INPUTS = 3 + FLOOR_SIZE
+
+# Indices of Sensor.camera: its position (m), height of the marker above the floor (m), and the place where the floor is
+# at the height that the camera takes it to be at (m)
+CAMERA_X, CAMERA_Y, CAMERA_Z, MARKER_HEIGHT, LEVEL_X, LEVEL_Y = range(6)
+
+
+class Sensor(NamedTuple):
+    """How an observed pose depends on a state (n,): the sum of `parts`, the first of which is the pose itself.
+
+    The components `floor` are not corrected.  The camera takes the floor as level; without one they have no effect.
+    """
+
+    parts: IntMatrix  # (m, 3)
+    floor: Ints  # (2,), or none
+    camera: Floats  # (6,), or none
+
+
+@part
+def seen_place(camera: Floats, x: float, y: float, floor: Floats) -> tuple[float, float]:
+    """Measured place (m) of the marker for a place (m) of the vehicle on a floor (2,)."""
+    away_x, away_y = x - camera[LEVEL_X], y - camera[LEVEL_Y]
+    level = math.sqrt(max(1.0 - (floor[0] * floor[0] + floor[1] * floor[1]), 0.0))  # cosine of the angle of the slope
+    rise = floor[0] * away_x + floor[1] * away_y
+    tilt = rise / (1.0 + level) + camera[MARKER_HEIGHT]
+    height = rise + camera[MARKER_HEIGHT] * level
+    stretch = (camera[CAMERA_Z] - camera[MARKER_HEIGHT]) / max(camera[CAMERA_Z] - height, 0.1 * camera[CAMERA_Z])
+    return (
+        camera[CAMERA_X] + stretch * (camera[LEVEL_X] + away_x - tilt * floor[0] - camera[CAMERA_X]),
+        camera[CAMERA_Y] + stretch * (camera[LEVEL_Y] + away_y - tilt * floor[1] - camera[CAMERA_Y]),
+    )
+
+
+@part
+def see(camera: Floats, inputs: Floats, seen: Floats) -> None:
+    """Write the measured pose (3,) for a pose and a floor, (5,) together; the heading stays within half a turn."""
+    floor, theta = inputs[3:], inputs[2]
+    along, across = HALF_LENGTH * math.cos(theta), HALF_LENGTH * math.sin(theta)
+    front_x, front_y = seen_place(camera, inputs[0] + along, inputs[1] + across, floor)
+    rear_x, rear_y = seen_place(camera, inputs[0] - along, inputs[1] - across, floor)
+    turned = math.atan2(front_y - rear_y, front_x - rear_x) - theta
+    seen[0], seen[1] = 0.5 * (front_x + rear_x), 0.5 * (front_y + rear_y)
+    seen[2] = theta + turned - math.tau * round(turned / math.tau)
+
+
+@part
+def linearise(camera: Floats, inputs: Floats, seen: Floats, jacobian: Matrix, work: Matrix) -> None:
+    """Write the measured pose (3,), and its derivatives (3, 5) by pose and floor; `inputs` (5,) are these."""
+    see(camera, inputs, seen)
+    for k in range(INPUTS):
+        value = inputs[k]
+        inputs[k] = value + DIFFERENCE
+        see(camera, inputs, work[0])
+        inputs[k] = value - DIFFERENCE
+        see(camera, inputs, work[1])
+        inputs[k] = value
+        for row in range(3):
+            jacobian[row, k] = (work[0, row] - work[1, row]) / (2.0 * DIFFERENCE)
+
+
+def _see(camera: Floats, inputs: Floats, seen: Floats, jacobian: Matrix, work: Matrix) -> None:
+    linearise(camera, inputs, seen, jacobian, work)
+
+
+@part
+def weighted(jacobian: Matrix, row: int, column: Floats, sensor: Sensor) -> float:
+    """Row of the derivatives of a pose by the state, times a column (n,)."""
+    total = 0.0
+    for k in range(3):
+        total += jacobian[row, k] * column[sensor.parts[0, k]]
+    for k in range(len(sensor.floor)):
+        total += jacobian[row, 3 + k] * column[sensor.floor[k]]
+    for m in range(1, len(sensor.parts)):
+        total += column[sensor.parts[m, row]]
+    return total
+
+
+def _expect(
+    mean: Floats, covariance: Matrix, sensor: Sensor, work: Matrix, pose: Floats, cross: Matrix, expected: Matrix
+) -> None:
+    jacobian, inputs = work[:3], work[3]
+    for row in range(3):
+        for k in range(INPUTS):
+            jacobian[row, k] = 1.0 if k == row else 0.0
+        pose[row] = mean[sensor.parts[0, row]]
+    if len(sensor.camera) > 0:
+        for row in range(3):
+            inputs[row] = pose[row]
+        for k in range(FLOOR_SIZE):
+            inputs[3 + k] = mean[sensor.floor[k]]
+        linearise(sensor.camera, inputs, pose, jacobian, work[4:])
+    for row in range(3):
+        for m in range(1, len(sensor.parts)):
+            pose[row] += mean[sensor.parts[m, row]]
+        for a in range(len(mean)):
+            cross[a, row] = weighted(jacobian, row, covariance[a], sensor)
+    for column in range(3):
+        for row in range(3):
+            expected[row, column] = weighted(jacobian, row, cross[:, column], sensor)
+
+
+@part
+def factorise(a: Matrix, factor: Matrix) -> None:
+    """Lower Cholesky factor (3, 3); NaN if `a` is not positive definite."""
+    for i in range(3):
+        for j in range(i + 1):
+            total = a[i, j]
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            factor[i, j] = math.sqrt(total) if i == j else total / factor[j, j]
+
+
+def _whiten(innovation_covariance: Matrix, innovation: Floats, work: Matrix, whitened: Floats) -> None:
+    factorise(innovation_covariance, work)
+    for i in range(3):
+        total = innovation[i]
+        for k in range(i):
+            total -= work[i, k] * whitened[k]
+        whitened[i] = total / work[i, i]
+
+
+@part
+def solve(factor: Matrix, row: Floats) -> None:
+    """Solve for a row (3,) in place, given the Cholesky factor."""
+    for i in range(3):
+        for k in range(i):
+            row[i] -= factor[i, k] * row[k]
+        row[i] /= factor[i, i]
+    for i in range(2, -1, -1):
+        for k in range(i + 1, 3):
+            row[i] -= factor[k, i] * row[k]
+        row[i] /= factor[i, i]
+
+
+def _correct(
+    covariance: Matrix, cross: Matrix, innovation_covariance: Matrix, kept: Ints, work: Matrix, gain: Matrix,
+    after: Matrix,
+) -> None:  # fmt: skip
+    factorise(innovation_covariance, work)
+    for a in range(len(gain)):
+        for i in range(3):
+            gain[a, i] = cross[a, i]
+        solve(work, gain[a])
+    for k in range(len(kept)):
+        gain[kept[k]] = 0.0
+    for a in range(len(gain)):
+        for b in range(a + 1):
+            one, other = covariance[a, b], covariance[b, a]
+            for i in range(3):
+                one -= gain[a, i] * cross[b, i]
+                other -= gain[b, i] * cross[a, i]
+            after[a, b] = after[b, a] = 0.5 * (one + other)
+    for k in range(len(kept)):
+        a = kept[k]
+        for b in range(len(gain)):
+            total = covariance[a, b]
+            for i in range(3):
+                total -= cross[a, i] * gain[b, i]
+            after[a, b] = after[b, a] = total
+
+
+@dataclass(frozen=True)
+class PoseFusion:
+    """Compiled functions of a Kalman update by a pose; `work` is (6, 5).
+
+    `see(camera, inputs, seen, jacobian, work)` is what a camera measures of a pose on a floor, see `linearise`.
+    `expect(mean, covariance, sensor, work, pose, cross, expected)` writes the expected pose (3,), its covariance with
+    the state (n, 3), and its covariance without noise (3, 3).
+    `whiten(innovation_covariance, innovation, work, whitened)` writes the innovation (3,) in standard deviations.
+    `correct(covariance, cross, innovation_covariance, kept, work, gain, after)` writes the gain (n, 3) and the
+    covariance (n, n) after the pose; components `kept` are not corrected, but all covariances with them are right
+    (Schmidt's filter).
+    """
+
+    see: Callable[[Floats, Floats, Floats, Matrix, Matrix], None]
+    expect: Callable[[Floats, Matrix, Sensor, Matrix, Floats, Matrix, Matrix], None]
+    whiten: Callable[[Matrix, Floats, Matrix, Floats], None]
+    correct: Callable[[Matrix, Matrix, Matrix, Ints, Matrix, Matrix, Matrix], None]
+
+
+WORK = (6, INPUTS)
+
+
+@cache
+def pose_fusion() -> PoseFusion:
+    """The compiled functions; compiled, or loaded from the cache, on the first call."""
+    sensor, floats, ints, matrix = numba_type(Sensor), types.float64[::1], types.int64[::1], types.float64[:, ::1]
+    nothing = types.void
+    return PoseFusion(
+        compiled(_see, signature=nothing(floats, floats, floats, matrix, matrix)),
+        compiled(_expect, signature=nothing(floats, matrix, sensor, matrix, floats, matrix, matrix)),
+        compiled(_whiten, signature=nothing(matrix, floats, matrix, floats)),
+        compiled(_correct, signature=nothing(matrix, matrix, matrix, ints, matrix, matrix, matrix)),
+    )
