@@ -130,7 +130,7 @@ class Vehicle:
         """Text of everything that the functions depend on; empty without source (functions from a prompt)."""
         return _source(tuple(f for f in (self.derivative, self.actuation, self.stop) if f is not None))
 
-    @property
+    @cached_property
     def hash(self) -> str:
         """Hash over everything that the compiled kernels depend on, which excludes parameter values and bounds."""
         shape = (self.state, tuple(self.controls), tuple(self.parameters), self.inputs, self.manoeuvres, self.rest,

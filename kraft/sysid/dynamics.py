@@ -22,11 +22,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import solve_banded
 
 from kraft.sysid.chains import Segment, pose_steps
 from kraft.sysid.parameters import Parameters, speed_index, steering_offset
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
+from ompl_ext.kernels import held_signals as held
 from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.vehicle import Vehicle
 
@@ -38,8 +38,6 @@ SPLIT_MIN = 0.01
 """Least share of a step that is split off."""
 POSE_SPLIT_MIN = 0.07
 """The same for the beginning or end up to a pose: a chord is as far from the path there as in the middle of a half."""
-LAG_MIN = 1e-6
-"""Lag below which a control counts as immediate, s."""
 
 
 class ActuatorModel:
@@ -105,7 +103,7 @@ class ActuatorModel:
             for k in range(len(self._controls)):
                 times, values, _ = self._moved(drive, [k], rho)
                 lag = float(rho[self._lags[k]]) if self._lags[k] >= 0 else 0.0
-                once = _integrals(times, values, (edges - self._delay(k, rho)).ravel(), lag).once.reshape(edges.shape)
+                once = _integrals(times, values, edges - self._delay(k, rho), lag)[held.ONCE, :, :, 0]
                 means[drive.rows, :, k] = (np.diff(once, axis=0) / np.maximum(np.diff(edges, axis=0), 1e-12)).T
         return shares, means
 
@@ -256,65 +254,25 @@ class Means:
     """derivative with respect to the lag"""
 
 
-@dataclass(frozen=True, eq=False)
-class _Integrals:
-    """Values, first and second integrals (n, m) of lagged signals at some times (n,), and derivatives by the lag."""
-
-    now: Matrix
-    once: Matrix
-    twice: Matrix
-    once_by_lag: Matrix
-    twice_by_lag: Matrix
-
-
 def box_means(times: Floats, values: Matrix, begin: Floats, h: Floats) -> Means:
     """Means over steps of h (n,) s from `begin` (n,), of signals without lag, values[i] (m,) before times[i]."""
-    found = _integrals(times, values, np.concatenate([begin, begin + h]), 0.0)
-    parts = (each.reshape(2, len(h), -1) for each in (found.once, found.now, found.once_by_lag))
-    return Means(*((end - start) / h[:, None] for start, end in parts))
+    found = _integrals(times, values, np.stack([begin, begin + h]), 0.0)
+    return Means(*(np.diff(found[k], axis=0)[0] / h[:, None] for k in (held.ONCE, held.NOW, held.ONCE_BY_LAG)))
 
 
 def hat_means(times: Floats, values: Matrix, begin: Floats, h: Floats, lag: float) -> Means:
     """Means weighted with a hat function that reaches half a step beyond each step; `lag` is in s."""
-    found = _integrals(times, values, np.concatenate([begin - 0.5 * h, begin + 0.5 * h, begin + 1.5 * h]), lag)
+    found = _integrals(times, values, begin + np.array([[-0.5], [0.5], [1.5]]) * h, lag)
     square = h[:, None] ** 2
-    parts = (each.reshape(3, len(h), -1) for each in (found.twice, found.once, found.twice_by_lag))
-    return Means(*(((after - here) - (here - before)) / square for before, here, after in parts))
+    return Means(*(np.diff(found[k], n=2, axis=0)[0] / square for k in (held.TWICE, held.ONCE, held.TWICE_BY_LAG)))
 
 
-def _integrals(times: Floats, values: Matrix, at: Floats, lag: float) -> _Integrals:
-    knots = np.concatenate([[min(times[0], at.min()) - 1.0], times])
-    spans = np.diff(knots)[:, None]
-    once, twice = np.zeros_like(values), np.zeros_like(values)
-    np.cumsum(spans * values[:-1], axis=0, out=once[1:])
-    np.cumsum(spans * (once[:-1] + 0.5 * spans * values[:-1]), axis=0, out=twice[1:])
-    i = np.searchsorted(knots, at, side="right") - 1
-    d, now = (at - knots[i])[:, None], values[i]
-    once, twice = once[i] + d * now, twice[i] + d * (once[i] + 0.5 * d * now)
-    since = (at - knots[0])[:, None]
-    if lag < LAG_MIN:
-        gone = now - values[0]
-        rest = once - values[0] * since  # integral of `gone`
-        return _Integrals(now, once, twice, -gone, -rest)
-    behind, slope = _lag_deviation(spans, values, i, d, lag)
-    now, gone = now + behind, now + behind - values[0]
-    once_by_lag = -gone - lag * slope
-    once = once - lag * gone
-    rest = once - values[0] * since
-    return _Integrals(now, once, twice - lag * rest, once_by_lag, -rest - lag * once_by_lag)
-
-
-def _lag_deviation(spans: Matrix, values: Matrix, i: Ints, d: Matrix, lag: float) -> tuple[Matrix, Matrix]:
-    """Lagged signals less the held ones, `d` (n, 1) s after knots `i`, and the derivative by the lag, (n, m) each."""
-    left = np.exp(-spans / lag)
-    # the deviation decays between jumps and changes by each jump: a bidiagonal system
-    jumps = np.vstack([np.zeros(values.shape[1]), -np.diff(values, axis=0)])
-    chain = np.array([np.ones(len(values)), np.append(-left, 0.0)])
-    behind = solve_banded((1, 0), chain, jumps, check_finite=False)
-    slowed = np.vstack([np.zeros(values.shape[1]), left * spans / lag**2 * behind[:-1]])
-    slope = solve_banded((1, 0), chain, slowed, check_finite=False)
-    share = np.exp(-d / lag)
-    return behind[i] * share, (slope[i] + behind[i] * d / lag**2) * share
+def _integrals(times: Floats, values: Matrix, when: Matrix, lag: float) -> Floats:
+    """Results (5, j, n, m) of `held_signals` at some times (j, n), of signals with values[i] (m,) before times[i]."""
+    knots = np.concatenate([[min(times[0], when.min()) - 1.0], times])
+    memory, out = np.empty((held.MEMORY, *values.shape)), np.empty((held.RESULTS, when.size, values.shape[1]))
+    held.integrate()(knots, np.ascontiguousarray(values), when.ravel(), lag, memory, out)
+    return out.reshape(held.RESULTS, *when.shape, values.shape[1])
 
 
 BREAKAWAY = 0.05

@@ -225,16 +225,13 @@ def _solve(factors: RhoFactors, damping: float, free: Bools, fixed: Floats) -> F
     Raises:
         NegativeResult: if the information of the free components is singular.
     """
-    shift = np.where(free, 0.0, fixed)
-    prior = factors.prior_information + damping * np.diag(factors.total_information)
-    size = np.diag(factors.total_information)[free] + prior[free]
+    total = factors.total_information
+    slope = factors.total_gradient + total @ np.where(free, 0.0, fixed)
+    damped = total[free][:, free] + np.diag(damping * np.diag(total)[free])
+    size = np.diag(damped)
     scale = 1.0 / np.sqrt(np.where(size > 0.0, size, 1.0))  # units of the parameters differ by orders of magnitude
     graph = gtsam.GaussianFactorGraph()
-    for information, gradient in zip(factors.information, factors.gradient, strict=True):
-        slope = gradient + information @ shift
-        scaled = scale[:, None] * information[np.ix_(free, free)] * scale
-        graph.add(gtsam.HessianFactor(RHO, scaled, -scale * slope[free], 0.0))
-    graph.add(gtsam.HessianFactor(RHO, np.diag(prior[free] * scale**2), -scale * factors.prior_gradient[free], 0.0))
+    graph.add(gtsam.HessianFactor(RHO, scale[:, None] * damped * scale, -scale * slope[free], 0.0))
     try:
         solution: Floats = scale * graph.optimize().at(RHO)
     except RuntimeError:  # GTSAM's IndeterminantLinearSystemException

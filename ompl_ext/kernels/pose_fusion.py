@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from numba import types
 
-from ompl_ext.arrays import Floats, IntMatrix, Ints, Matrix
+from ompl_ext.arrays import Cube, Floats, IntMatrix, Ints, Matrix
 from ompl_ext.jit import compiled, part
 from ompl_ext.kernels.kernel_types import numba_type
 
@@ -182,6 +182,32 @@ def _correct(
             after[a, b] = after[b, a] = total
 
 
+@part
+def replace_in(mean: Floats, covariance: Matrix, known: Ints, values: Floats, spread: Matrix, work: Matrix) -> None:
+    """Replace two components of a state by values (2,) with the covariance `spread` (2, 2), the others by regression.
+
+    `work` is (2, n): gains of the other components.
+    """
+    one, other = known[0], known[1]
+    a, b, c = covariance[one, one], covariance[one, other], covariance[other, other]
+    determinant = a * c - b * b
+    first, second = values[0] - mean[one], values[1] - mean[other]
+    for k in range(len(mean)):
+        p, q = covariance[k, one], covariance[k, other]
+        work[0, k], work[1, k] = (c * p - b * q) / determinant, (a * q - b * p) / determinant
+        mean[k] += work[0, k] * first + work[1, k] * second
+    a, b, c = spread[0, 0] - a, spread[0, 1] - b, spread[1, 1] - c
+    for k in range(len(mean)):
+        p, q = a * work[0, k] + b * work[1, k], b * work[0, k] + c * work[1, k]
+        for j in range(k + 1):
+            covariance[k, j] = covariance[j, k] = covariance[k, j] + p * work[0, j] + q * work[1, j]
+
+
+def _replace(means: Matrix, covariances: Cube, known: Ints, values: Floats, spread: Matrix, work: Matrix) -> None:
+    for i in range(len(means)):
+        replace_in(means[i], covariances[i], known, values, spread, work)
+
+
 @dataclass(frozen=True)
 class PoseFusion:
     """Compiled functions of a Kalman update by a pose; `work` is (6, 5).
@@ -193,12 +219,15 @@ class PoseFusion:
     `correct(covariance, cross, innovation_covariance, kept, work, gain, after)` writes the gain (n, 3) and the
     covariance (n, n) after the pose; components `kept` are not corrected, but all covariances with them are right
     (Schmidt's filter).
+    `replace(means, covariances, known, values, spread, work)` replaces two components of states (m, n), see
+    `replace_in`.
     """
 
     see: Callable[[Floats, Floats, Floats, Matrix, Matrix], None]
     expect: Callable[[Floats, Matrix, Sensor, Matrix, Floats, Matrix, Matrix], None]
     whiten: Callable[[Matrix, Floats, Matrix, Floats], None]
     correct: Callable[[Matrix, Matrix, Matrix, Ints, Matrix, Matrix, Matrix], None]
+    replace: Callable[[Matrix, Cube, Ints, Floats, Matrix, Matrix], None]
 
 
 WORK = (6, INPUTS)
@@ -208,10 +237,11 @@ WORK = (6, INPUTS)
 def pose_fusion() -> PoseFusion:
     """The compiled functions; compiled, or loaded from the cache, on the first call."""
     sensor, floats, ints, matrix = numba_type(Sensor), types.float64[::1], types.int64[::1], types.float64[:, ::1]
-    nothing = types.void
+    nothing, cube = types.void, types.float64[:, :, ::1]
     return PoseFusion(
         compiled(_see, signature=nothing(floats, floats, floats, matrix, matrix)),
         compiled(_expect, signature=nothing(floats, matrix, sensor, matrix, floats, matrix, matrix)),
         compiled(_whiten, signature=nothing(matrix, floats, matrix, floats)),
         compiled(_correct, signature=nothing(matrix, matrix, matrix, ints, matrix, matrix, matrix)),
+        compiled(_replace, signature=nothing(matrix, cube, ints, floats, matrix, matrix)),
     )

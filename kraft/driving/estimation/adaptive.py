@@ -372,15 +372,13 @@ class CorrelatedFilter(PoseFilter):
 
     def set_slope(self, slope: Floats, covariance: Matrix) -> None:
         """Replace the estimate of the floor's slope by (2,) and its covariance (2, 2), and all that depends on it."""
-        floor, posteriors = self._part(FLOOR), self._posteriors
-        covariances = np.array([posterior.covariance for posterior in posteriors])
-        before = covariances[:, floor][:, :, floor]
-        gains = np.linalg.solve(before, covariances[:, floor]).transpose(0, 2, 1)  # by regression
-        after = covariances + gains @ (covariance - before) @ gains.transpose(0, 2, 1)
-        after = 0.5 * (after + after.transpose(0, 2, 1))
+        means = np.array([posterior.mean for posterior in self._posteriors])
+        covariances = np.array([posterior.covariance for posterior in self._posteriors])
+        work = np.empty((2, means.shape[1]))
+        self._fusion.replace(means, covariances, self._sensor.floor, slope, covariance, work)
         self._posteriors = [
-            replace(posterior, mean=posterior.mean + gain @ (slope - posterior.mean[floor]), covariance=changed)
-            for posterior, gain, changed in zip(posteriors, gains, after, strict=True)
+            replace(posterior, mean=mean, covariance=changed)
+            for posterior, mean, changed in zip(self._posteriors, means, covariances, strict=True)
         ]
         self._reckoning.reset(self.posterior.time, self.posterior.mean, self._posteriors[0].time)
 
