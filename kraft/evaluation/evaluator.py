@@ -103,8 +103,47 @@ def evaluate(
         Defect: if workers do not start.  A defect inside a trial fails that trial only.
     """
     observer = observer or Observer()
+    experiment = check_arguments(
+        scenarios, methods, trials, seed, jobs, out, suite=suite, settings=settings, vary=vary, vehicle=vehicle,
+        resume=resume, realtime=realtime,
+    )  # fmt: skip
+    _ensure_compiled(experiment, observer.log)
+    experiment = replace(experiment, bounds=_least_times(experiment))
+    executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
+    if out is None:
+        return _run_experiment(experiment, executor, None, observer, command_line)
+    folder = (reopen if resume else create)(Path(out), experiment, arguments or {})
+    with closing(folder.journal):
+        return _run_experiment(experiment, executor, folder, observer, command_line)
+
+
+def check_arguments(
+    scenarios: Sequence[ScenarioLike] | None,
+    methods: Sequence[MethodLike],
+    trials: int,
+    seed: int,
+    jobs: int | None,
+    out: str | Path | None,
+    *,
+    suite: str | Path | None = None,
+    settings: Settings = (),
+    vary: Sweeps = (),
+    vehicle: str | None = None,
+    resume: bool = False,
+    realtime: bool = False,
+) -> Experiment:
+    """Experiment of arguments of `evaluate`.
+
+    Raises:
+        InputError: with every problem of the arguments.
+    """
     problems = Problems()
-    problems.found += _argument_problems(jobs, resume, out)
+    if jobs is not None:
+        problems.found += out_of_range("jobs", jobs, 1)
+    if resume and out is None:
+        expected = "expected the folder of the evaluation to resume"
+        diagnostic = Diagnostic("resume", "is given without a folder", expected, code=Code.MISSING, argument=True)
+        problems.found.append(diagnostic)
     if out is not None:
         problems.of(lambda: (check_exists if resume else check_new)(Path(out)))
     if scenarios is not None and suite is not None:
@@ -119,14 +158,7 @@ def evaluate(
     )  # fmt: skip
     problems.check()
     assert experiment is not None, "every problem was raised"
-    _ensure_compiled(experiment, observer.log)
-    experiment = replace(experiment, bounds=_least_times(experiment))
-    executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
-    if out is None:
-        return _run_experiment(experiment, executor, None, observer, command_line)
-    folder = (reopen if resume else create)(Path(out), experiment, arguments or {})
-    with closing(folder.journal):
-        return _run_experiment(experiment, executor, folder, observer, command_line)
+    return experiment
 
 
 def usable_cores() -> int:
@@ -165,14 +197,6 @@ def _least_times(experiment: Experiment) -> dict[str, float]:
     if found:
         raise Unreachable(found)
     return bounds
-
-
-def _argument_problems(jobs: int | None, resume: bool, out: str | Path | None) -> list[Diagnostic]:
-    problems = [] if jobs is None else out_of_range("jobs", jobs, 1)
-    if resume and out is None:
-        expected = "expected the folder of the evaluation to resume"
-        problems.append(Diagnostic("resume", "is given without a folder", expected, code=Code.MISSING, argument=True))
-    return problems
 
 
 def _run_experiment(

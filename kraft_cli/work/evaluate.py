@@ -10,8 +10,8 @@ from typing import Any, Final
 
 from kraft.config.overrides import parse_overrides, parse_sweeps
 from kraft.errors import Code, Diagnostic, InputError, Problems
-from kraft.evaluation.evaluator import Evaluation, Observer, evaluate
-from kraft.evaluation.experiment import MANIFEST, METHODS, SUITE, TRIALS, experiment_of, read_manifest
+from kraft.evaluation.evaluator import Evaluation, Observer, check_arguments, evaluate
+from kraft.evaluation.experiment import MANIFEST, METHODS, SUITE, TRIALS, read_manifest
 from kraft.evaluation.folder import check_exists, default_path
 from kraft_cli.work.run import run_command
 
@@ -77,10 +77,11 @@ def run_evaluation(request: EvalRequest, observer: Observer) -> Evaluation:
     if settings is None or vary is None:  # the other arguments are checked too
         trials, seed, suite = arguments["trials"], arguments["seed"], arguments["suite"]
         problems.of(
-            lambda: experiment_of(
-                request.scenarios, arguments["methods"], suite=suite, vehicle=request.vehicle, trials=trials, seed=seed
+            lambda: check_arguments(
+                arguments["scenarios"] or None, arguments["methods"], trials, seed, request.jobs, request.out,
+                suite=suite, vehicle=request.vehicle, resume=request.resume,
             )
-        )
+        )  # fmt: skip
         raise InputError(problems.found)
     try:
         return evaluate(

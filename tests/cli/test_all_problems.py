@@ -26,6 +26,8 @@ COMMANDS = {
         "--jobs, --seed, --trials, /proc/x, foo, kraftt",
     "eval nosuch --set x --vary y --trials 1000000000 --methods foo":
         "--set, --trials, --vary, foo, nosuch",
+    "eval nosuch --set x --jobs 0 --suite nosuite --methods foo --out /proc/x":
+        "--jobs, --set, --suite, /proc/x, foo, nosuch, nosuite",
     "import barn X --goal 5,5,nan --start a,b --out /proc/x": "--goal, --start, /proc/x, X",
     "import map nomap.yaml": "--goal, --start, nomap.yaml",
     "import map nomap.yaml --start a --goal 1,2": "--start, nomap.yaml",
