@@ -19,6 +19,9 @@ from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.jit import cache_folder, cache_root
 from ompl_ext.kernels.clearance import ClearanceField, cover, fields
 from ompl_ext.kernels.costtogo import cost_to_go
+from ompl_ext.kernels.moments import moments
+from ompl_ext.kernels.paths import paths
+from ompl_ext.kernels.pose_fusion import pose_fusion
 from ompl_ext.kernels.posetogo import compile_pose_cost_to_go
 from ompl_ext.kernels.specialise import (
     are_steps_cached,
@@ -86,6 +89,8 @@ def ensure_compiled(
             step_kernels(vehicle)
         if identification:
             _compile_identification(vehicle)
+            moments()
+            pose_fusion()
         if polish:
             polish_kernels(vehicle)
         for name in others:
@@ -115,6 +120,7 @@ def _exercise(vehicle: Vehicle) -> None:
         with _maps_meanwhile() as maps:
             kernels(vehicle)
             tracking()
+            paths()
             while maps is not None and maps.poll() is None:
                 check()
                 time.sleep(POLL)
