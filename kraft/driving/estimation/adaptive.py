@@ -377,7 +377,7 @@ class CorrelatedFilter(PoseFilter):
         work = np.empty((2, means.shape[1]))
         self._fusion.replace(means, covariances, self._sensor.floor, slope, covariance, work)
         self._posteriors = [
-            posterior.corrected(mean, changed)
+            replace(posterior, mean=mean, covariance=changed)
             for posterior, mean, changed in zip(self._posteriors, means, covariances, strict=True)
         ]
         self._reckoning.reset(self.posterior.time, self.posterior.mean, self._posteriors[0].time)
