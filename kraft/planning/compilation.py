@@ -71,7 +71,7 @@ def ensure_compiled(
     known = is_layout_cached(vehicle, "checks"), is_layout_cached(vehicle, "gauss_newton")
     missing = [(f"the planner and the model of {vehicle.name}", 4 if known[0] else 16)] if planner else []
     missing += [(f"the steps of the model of {vehicle.name}", 2)] if steps else []
-    missing += [("the identification", 4)] if identification else []
+    missing += [("the identification and the pose filter", 8)] if identification else []
     missing += [(f"the local optimisation for {vehicle.name}", 1 if known[1] else 12)] if polish else []
     others = [name for name in modules if not is_module_cached(vehicle, name)]
     missing += [(f"{OPTIONAL[name]} for {vehicle.name}", 6) for name in others]
