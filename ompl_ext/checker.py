@@ -98,9 +98,14 @@ class EdgeChecker:
         return self._work.trajectory.reshape(-1, nx, LANE_WIDTH)[: steps + 1, :, 0].copy(), slack
 
     def set_delta(self, delta: float) -> None:
-        """Set the clearance at rest, `delta` m, within the first cycle and along contingencies."""
-        self.safety = replace(self.safety, delta=delta)
-        self._problem.scalar[at.DELTA] = delta
+        """Set the clearance at rest within the first cycle and along contingencies (m), and its growth in proportion.
+
+        With the growth of a larger clearance a vehicle that stands with less could not even stay: it would lack
+        clearance before the cycle ends.
+        """
+        safety = self.safety
+        growth = delta / safety.delta if safety.delta > 0.0 else 1.0
+        self.set_bound(delta, safety.delta_per_speed, growth * safety.delta_per_time, safety.delta_horizon)
 
     def set_bound(self, delta: float, per_speed: float, per_time: float, horizon: float) -> None:
         """Set the clearance delta(t, v) within the first cycle and along contingencies, see `Safety`."""
