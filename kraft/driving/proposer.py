@@ -121,7 +121,8 @@ class Proposer:
         assert self.dirt.goal is not None, "a task has a goal"
         self._goal = self.dirt.goal
         self._delta = self.dirt.safety.delta
-        self._recovering = False
+        self.recovers = False
+        """whether the last proposal is for a vehicle that leaves a place with less clearance than required"""
         self._levels = Levels(solvers, settings)
         self._grown: _Grown | None = None
         self._budget = 0  # iterations of the cycle's largest budget that are left
@@ -174,12 +175,12 @@ class Proposer:
         To keep less clearance has to save a share of the cost; to keep more than the last plan may cost `RISE`.
         """
         levels, self._budget = self._levels, self._settings.largest_budget
-        was_recovering, self._recovering = self._recovering, False
+        was_recovering, self.recovers = self.recovers, False
         proposal = self._search_at_levels(query)
         if proposal.plan is not None:
             levels.require()
         elif self._recovers(query.root, was_recovering):
-            self._recovering = True
+            self.recovers = True
             proposal = self._search(query, self.dirt, 1.0, is_last=True)
             self._grown = self._grown_of(self.dirt, proposal.plan)
         return replace(proposal, iterations=self._settings.largest_budget - self._budget)
@@ -288,12 +289,12 @@ class Proposer:
         """Solvers to run in turn, each with its share of the remaining time; the first plan that is found is taken."""
         planning, checking = self._solvers.planning, self._solvers.checking
         checking.set_delta(self._delta)
-        was_recovering, self._recovering = self._recovering, False
+        was_recovering, self.recovers = self.recovers, False
         if planning is not checking and self._slack(planning, root) >= 0.0:
             yield planning, 0.5
         yield checking, 1.0  # returns at once if the root lacks clearance, which leaves all the time to the recovery
-        self._recovering = self._recovers(root, was_recovering)
-        if self._recovering:
+        self.recovers = self._recovers(root, was_recovering)
+        if self.recovers:
             yield checking, 1.0
 
     def _recovers(self, root: Floats, was_recovering: bool) -> bool:

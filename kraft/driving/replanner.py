@@ -272,11 +272,10 @@ class Replanner:
 
         The clearance for which the plan was made rests on an older estimate.
         """
-        dirt = self.dirt
-        leaves = is_resting(dirt, root) or dirt.safety.delta < self._delta
-        if self._switches and self._settings.recover and leaves:
+        dirt, recovers = self.dirt, self._proposer.recovers
+        if self._switches and self._settings.recover and (recovers or is_resting(dirt, root)):
             slack = least_slack(dirt, root[None, :], 0.0)
-            if slack < 0.0 or dirt.safety.delta < self._delta:
+            if slack < 0.0 or recovers:
                 dirt.set_delta(min(self._delta, max(0.0, dirt.safety.delta + slack - RECOVERY_MARGIN)))
 
     def _root(self, estimate: Estimate, cycle_start: float, current: Commitment) -> tuple[Floats, Commitment]:
