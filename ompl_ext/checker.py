@@ -98,14 +98,11 @@ class EdgeChecker:
         return self._work.trajectory.reshape(-1, nx, LANE_WIDTH)[: steps + 1, :, 0].copy(), slack
 
     def set_delta(self, delta: float) -> None:
-        """Set the clearance at rest within the first cycle and along contingencies (m), and its growth in proportion.
+        """Set the clearance at rest within the first cycle and along contingencies (m), which does not grow with time.
 
-        With the growth of a larger clearance a vehicle that stands with less could not even stay: it would lack
-        clearance before the cycle ends.
+        A vehicle that stands with less than a growing clearance could not even stay: it would lack more and more.
         """
-        safety = self.safety
-        growth = delta / safety.delta if safety.delta > 0.0 else 1.0
-        self.set_bound(delta, safety.delta_per_speed, growth * safety.delta_per_time, safety.delta_horizon)
+        self.set_bound(delta, self.safety.delta_per_speed, 0.0, 0.0)
 
     def set_bound(self, delta: float, per_speed: float, per_time: float, horizon: float) -> None:
         """Set the clearance delta(t, v) within the first cycle and along contingencies, see `Safety`."""

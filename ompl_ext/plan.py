@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,6 +43,20 @@ class Plan:
     cost_to_go: float
     reaches_goal: bool
     contingency: Contingency | None
+
+    def head(self, until: float) -> Plan:
+        """The plan up to the end of the edge that is held at `until` s, with the cost of the whole one."""
+        ends = np.cumsum(self.durations)
+        edges = min(len(ends), int(np.searchsorted(ends, until - 1e-9)) + 1)
+        samples = int(np.searchsorted(self.times, ends[edges - 1] + 1e-9)) if len(ends) else 1
+        return replace(
+            self,
+            states=self.states[: edges + 1],
+            controls=self.controls[:edges],
+            durations=self.durations[:edges],
+            times=self.times[:samples],
+            trajectory=self.trajectory[:samples],
+        )
 
 
 @dataclass(frozen=True)

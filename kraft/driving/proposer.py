@@ -174,16 +174,19 @@ class Proposer:
 
         To keep less clearance has to save a share of the cost; to keep more than the last plan may cost `RISE`.
         """
-        levels, self._budget = self._levels, self._settings.largest_budget
+        levels, settings = self._levels, self._settings
+        most = self._budget = settings.largest_budget
         was_recovering, self.recovers = self.recovers, False
         proposal = self._search_at_levels(query)
         if proposal.plan is not None:
             levels.require()
         elif self._recovers(query.root, was_recovering):
             self.recovers = True
+            more = max(0, settings.iterations - self._budget)  # the levels may have spent all of it
+            most, self._budget = most + more, self._budget + more
             proposal = self._search(query, self.dirt, 1.0, is_last=True)
             self._grown = self._grown_of(self.dirt, proposal.plan)
-        return replace(proposal, iterations=self._settings.largest_budget - self._budget)
+        return replace(proposal, iterations=most - self._budget)
 
     def _search_at_levels(self, query: _Query) -> Proposal:
         """Plan of the first level that leaves a way to the goal, or of a later one that saves enough."""
@@ -298,15 +301,19 @@ class Proposer:
             yield checking, 1.0
 
     def _recovers(self, root: Floats, was_recovering: bool) -> bool:
-        """Whether a vehicle without a plan may leave with less than the present clearance, which is required then."""
+        """Whether a vehicle without a plan may leave with less than the present clearance, which is required then.
+
+        It lacks clearance now, or once the bound has grown: then no plan could begin here either.
+        """
         checking = self._solvers.checking
-        delta, slack = checking.safety.delta, self._slack(checking, root)
+        safety, slack = checking.safety, self._slack(checking, root)
         if self._settings.on_board == "contingency":  # `slack` is that of the first disc that lacks clearance
             slack = min(slack, least_slack(checking, root[None, :], 0.0))
-        resting = all(abs(root[k]) <= checking.safety.rest_speed for k in checking.vehicle.rest_indices)
-        recovers = self._settings.recover and (resting or was_recovering) and -delta < slack < 0.0
+        resting = all(abs(root[k]) <= safety.rest_speed for k in checking.vehicle.rest_indices)
+        lacks = -safety.delta < slack < safety.delta_per_time * safety.delta_horizon
+        recovers = self._settings.recover and (resting or was_recovering) and lacks
         if recovers:
-            checking.set_delta(max(0.0, delta + slack - RECOVERY_MARGIN))
+            checking.set_delta(max(0.0, safety.delta + min(slack, 0.0) - RECOVERY_MARGIN))
         return recovers
 
     def _slack(self, dirt: DirtSolver, root: Floats) -> float:
@@ -456,19 +463,8 @@ class Proposer:
         Raises:
             Defect: if the plan violates what the planner guarantees.
         """
-        ends = np.cumsum(plan.durations)
         until = math.inf if self._settings.mode == "one-shot" else self._settings.cycle
-        edges = min(len(ends), int(np.searchsorted(ends, until - 1e-9)) + 1)
-        samples = int(np.searchsorted(plan.times, ends[edges - 1] + 1e-9)) if len(ends) else 1
-        head = replace(
-            plan,
-            states=plan.states[: edges + 1],
-            controls=plan.controls[:edges],
-            durations=plan.durations[:edges],
-            times=plan.times[:samples],
-            trajectory=plan.trajectory[:samples],
-        )
-        problems = verify(dirt, head).problems
+        problems = verify(dirt, plan.head(until)).problems
         if problems:
             raise Defect(f"the plan of cycle {number} fails verification: {'; '.join(map(str, problems))}")
 

@@ -208,6 +208,15 @@ def test_another_clearance_can_be_asked_for_as_if_it_had_been_from_the_beginning
     assert tree_bytes(dirt) == tree_bytes(other)
 
 
+def test_another_clearance_at_rest_no_longer_grows_with_time() -> None:
+    dirt = DirtSolver(BENCHMARK, Workspace(ROOM), ACROSS, Safety(), capacity=10)
+    dirt.set_bound(0.1, 0.2, 0.3, 1.5)
+    dirt.set_delta(0.05)
+    assert dirt.safety == Safety(delta=0.05, delta_per_speed=0.2)
+    grown, at_once = (dirt.edge(CORNER, np.zeros(2), 0.0, time)[1] for time in (0.9, 0.0))
+    assert grown == at_once
+
+
 def test_a_smaller_goal_can_be_aimed_for_and_the_first_one_again() -> None:
     dirt = DirtSolver(BENCHMARK, Workspace(ROOM), ACROSS, NO_SAFETY, capacity=10_000)
     planned(dirt, start=CORNER)
