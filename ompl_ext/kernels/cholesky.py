@@ -1,4 +1,4 @@
-"""Cholesky's decomposition of a small matrix, for `riccati`."""
+"""Cholesky's decomposition of a small matrix."""
 
 from __future__ import annotations
 
@@ -7,18 +7,16 @@ import math
 from ompl_ext.arrays import Matrix
 from ompl_ext.jit import part
 
-TINY = 1e-12  # smallest pivot
-
 
 @part
-def factorise(matrix: Matrix, size: int) -> bool:
-    """Cholesky's decomposition in place; false if the matrix is not positive definite."""
+def factorise(matrix: Matrix, size: int, least: float) -> bool:
+    """Cholesky's decomposition in place; false if a pivot is not above `least`: the matrix is not positive definite."""
     for i in range(size):
         for j in range(i + 1):
             total = matrix[i, j]
             for k in range(j):
                 total -= matrix[i, k] * matrix[j, k]
-            if i == j and not total > TINY:
+            if i == j and not total > least:
                 return False
             matrix[i, j] = math.sqrt(total) if i == j else total / matrix[j, j]
     return True
@@ -26,7 +24,7 @@ def factorise(matrix: Matrix, size: int) -> bool:
 
 @part
 def solve_factorised(matrix: Matrix, size: int, right: Matrix, columns: int) -> None:
-    """Solve in place for several right-hand sides."""
+    """Solve in place for several right-hand sides (size, columns), given the factor."""
     for i in range(size):
         for k in range(i):
             for column in range(columns):

@@ -16,6 +16,7 @@ from numba import types
 
 from ompl_ext.arrays import Cube, Floats, IntMatrix, Ints, Matrix
 from ompl_ext.jit import compiled, part
+from ompl_ext.kernels.cholesky import factorise, solve_factorised
 from ompl_ext.kernels.kernel_types import numba_type
 
 HALF_LENGTH = 0.1  # half the distance between two points that show a heading (m)
@@ -123,62 +124,49 @@ def _expect(
 
 
 @part
-def factorise(a: Matrix, factor: Matrix) -> None:
-    """Lower Cholesky factor (3, 3); NaN if `a` is not positive definite."""
+def factorise_copy(a: Matrix, factor: Matrix) -> bool:
+    """Write the lower Cholesky factor (3, 3); false if `a` is not positive definite."""
     for i in range(3):
         for j in range(i + 1):
-            total = a[i, j]
-            for k in range(j):
-                total -= factor[i, k] * factor[j, k]
-            factor[i, j] = math.sqrt(total) if i == j else total / factor[j, j]
+            factor[i, j] = a[i, j]
+    return factorise(factor, 3, 0.0)
 
 
 def _whiten(innovation_covariance: Matrix, innovation: Floats, work: Matrix, whitened: Floats) -> None:
-    factorise(innovation_covariance, work)
+    is_definite = factorise_copy(innovation_covariance, work)
     for i in range(3):
-        total = innovation[i]
+        total = innovation[i] if is_definite else math.nan
         for k in range(i):
             total -= work[i, k] * whitened[k]
         whitened[i] = total / work[i, i]
-
-
-@part
-def solve(factor: Matrix, row: Floats) -> None:
-    """Solve for a row (3,) in place, given the Cholesky factor."""
-    for i in range(3):
-        for k in range(i):
-            row[i] -= factor[i, k] * row[k]
-        row[i] /= factor[i, i]
-    for i in range(2, -1, -1):
-        for k in range(i + 1, 3):
-            row[i] -= factor[k, i] * row[k]
-        row[i] /= factor[i, i]
 
 
 def _correct(
     covariance: Matrix, cross: Matrix, innovation_covariance: Matrix, kept: Ints, work: Matrix, gain: Matrix,
     after: Matrix,
 ) -> None:  # fmt: skip
-    factorise(innovation_covariance, work)
-    for a in range(len(gain)):
-        for i in range(3):
-            gain[a, i] = cross[a, i]
-        solve(work, gain[a])
+    is_definite, n = factorise_copy(innovation_covariance, work), len(cross)
+    for i in range(3):
+        for a in range(n):
+            gain[i, a] = cross[a, i] if is_definite else math.nan
+    if is_definite:
+        solve_factorised(work, 3, gain, n)
     for k in range(len(kept)):
-        gain[kept[k]] = 0.0
-    for a in range(len(gain)):
+        for i in range(3):
+            gain[i, kept[k]] = 0.0
+    for a in range(n):
         for b in range(a + 1):
             one, other = covariance[a, b], covariance[b, a]
             for i in range(3):
-                one -= gain[a, i] * cross[b, i]
-                other -= gain[b, i] * cross[a, i]
+                one -= gain[i, a] * cross[b, i]
+                other -= gain[i, b] * cross[a, i]
             after[a, b] = after[b, a] = 0.5 * (one + other)
     for k in range(len(kept)):
         a = kept[k]
-        for b in range(len(gain)):
+        for b in range(n):
             total = covariance[a, b]
             for i in range(3):
-                total -= cross[a, i] * gain[b, i]
+                total -= cross[a, i] * gain[i, b]
             after[a, b] = after[b, a] = total
 
 
@@ -216,8 +204,8 @@ class PoseFusion:
     `expect(mean, covariance, sensor, work, pose, cross, expected)` writes the expected pose (3,), its covariance with
     the state (n, 3), and its covariance without noise (3, 3).
     `whiten(innovation_covariance, innovation, work, whitened)` writes the innovation (3,) in standard deviations.
-    `correct(covariance, cross, innovation_covariance, kept, work, gain, after)` writes the gain (n, 3) and the
-    covariance (n, n) after the pose; components `kept` are not corrected, but all covariances with them are right
+    `correct(covariance, cross, innovation_covariance, kept, work, gain, after)` writes the gain, transposed (3, n), and
+    the covariance (n, n) after the pose; components `kept` are not corrected, but all covariances with them are right
     (Schmidt's filter).
     `replace(means, covariances, known, values, spread, work)` replaces two components of states (m, n), see
     `replace_in`.

@@ -24,6 +24,7 @@ LAYOUT = layout_being_compiled()
 NX, NU = LAYOUT.components, LAYOUT.controls
 M = NU + 1  # controls and the duration
 NS = NX + NU  # state and the controls of the stage before
+LEAST_PIVOT = 1e-12
 
 
 @inlined
@@ -37,7 +38,7 @@ def _soften(work: Backward, stage: int, stiffness: float) -> bool:
         factor[i, i] += stiffness
         for j in range(NS):
             right[i, 1 + j] = value[i, j]
-    if not factorise(factor, NX):
+    if not factorise(factor, NX, LEAST_PIVOT):
         return False
     solve_factorised(factor, NX, right, NS + 1)
     for i in range(NX):
@@ -135,7 +136,7 @@ def _choose_controls(stages: Stages, work: Backward, stage: int) -> bool:
     while left:
         left = False
         _fill_equations(stages, work, stage)
-        if not factorise(work.factor, M):
+        if not factorise(work.factor, M, LEAST_PIVOT):
             return False
         solve_factorised(work.factor, M, work.right, NS + 1)
         for i in range(M):

@@ -76,9 +76,10 @@ def test_a_correction_is_kalmans_and_right_for_what_is_kept(kept: list[int]) -> 
     mean, covariance = state(1)
     _, cross, of_pose = expected(mean, covariance, CAMERA)
     by_state = np.linalg.solve(covariance, cross).T
-    gain, after = np.empty((SIZE, 3)), np.empty((SIZE, SIZE))
+    transposed, after = np.empty((3, SIZE)), np.empty((SIZE, SIZE))
     spread, fixed = of_pose + NOISE, np.array(kept, dtype=np.int64)
-    pose_fusion().correct(covariance, cross, spread, fixed, np.empty(WORK), gain, after)
+    pose_fusion().correct(covariance, cross, spread, fixed, np.empty(WORK), transposed, after)
+    gain = transposed.T
     best = cross @ np.linalg.inv(spread)
     best[kept] = 0.0
     assert gain == pytest.approx(best)

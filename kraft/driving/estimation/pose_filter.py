@@ -250,9 +250,11 @@ class PoseFilter:
 
         `cross_covariance` (n, 3) is of the state with the expected pose, `innovation` (3, 3) that of the innovation.
         """
-        gain, after = np.empty_like(cross_covariance), np.empty_like(covariance)
-        self._fusion.correct(covariance, cross_covariance, innovation, self._sensor.floor, self._work, gain, after)
-        return gain, after
+        transposed, after = np.empty(cross_covariance.shape[::-1]), np.empty_like(covariance)
+        self._fusion.correct(
+            covariance, cross_covariance, innovation, self._sensor.floor, self._work, transposed, after
+        )
+        return transposed.T, after
 
     def _expected(self, mean: Floats, covariance: Matrix) -> tuple[Floats, Matrix, Matrix]:
         """Expected pose (3,), its covariance with the state (n, 3), and its covariance without noise (3, 3)."""
