@@ -24,6 +24,7 @@ from kraft.driving.rest import (  # fmt: skip
     RETAINED_TOLERANCE,
     Rest,
     goes_same_way,
+    has_rest,
     retain,
     retained_plan,
     start_with_best_corrections,
@@ -323,7 +324,7 @@ class Proposer:
     def _rest(self, previous: Plan | None) -> Rest | None:
         """Rest of the plan that is executed, as the settings retain it; None if it ends before the cycle does."""
         settings = self._settings
-        if previous is None or previous.cost <= settings.cycle:
+        if previous is None or not has_rest(previous, settings.cycle):
             return None
         grown = self._grown
         return Rest(previous, settings.cycle, grown.edges if grown is not None and grown.plan is previous else None)
@@ -336,7 +337,7 @@ class Proposer:
         settings, edges = self._settings, None
         if plan is None:
             return None
-        if settings.retain == "tree" and plan.cost > settings.cycle:
+        if settings.retain == "tree" and has_rest(plan, settings.cycle):
             edges = dirt.retainable_edges(plan, settings.cycle, settings.iterations)
         return _Grown(dirt, plan, edges)
 

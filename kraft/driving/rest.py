@@ -35,6 +35,11 @@ class Rest:
         return total_cost(self.plan) - self.elapsed
 
 
+def has_rest(plan: Plan, elapsed: float) -> bool:
+    """Whether an edge of a plan is left after `elapsed` s."""
+    return len(remaining_edges(plan.controls, plan.durations, elapsed)[2]) > 0
+
+
 def total_cost(plan: Plan) -> float:
     """Cost of a plan and cost-to-go from its end, s."""
     return plan.cost + plan.cost_to_go

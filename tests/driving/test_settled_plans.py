@@ -54,6 +54,16 @@ def rest_of(subject: Proposer, plan: Plan) -> Rest:
     return rest
 
 
+@pytest.mark.parametrize("retain", ["plan", "tree"])
+def test_a_plan_that_ends_with_the_cycle_up_to_rounding_has_no_rest(retain: str) -> None:
+    subject = proposer(retain=retain)
+    plan = proposed(subject).head(0.0)
+    ends = 1.0 + 5e-10
+    short = replace(plan, durations=np.array([ends]), cost=ends)
+    assert subject._grown_of(subject.dirt, short) is not None
+    assert subject.propose(1, after_a_cycle(plan), short).plan is not None
+
+
 def end_after_retaining(retain: str, moved: Floats) -> tuple[float, Floats]:
     """Distance of the end of the retained rest from the plan's end, m, and its state (nx,); inf if it was lost."""
     subject = proposer(retain=retain)
