@@ -181,7 +181,7 @@ class Proposer:
         proposal = self._search_at_levels(query)
         if proposal.plan is not None:
             levels.require()
-        elif self._recovers(query.root, was_recovering):
+        elif self._begin_recovery(query.root, was_recovering):
             self.recovers = True
             more = max(0, settings.iterations - self._budget)  # the levels may have spent all of it
             most, self._budget = most + more, self._budget + more
@@ -297,12 +297,12 @@ class Proposer:
         if planning is not checking and self._slack(planning, root) >= 0.0:
             yield planning, 0.5
         yield checking, 1.0  # returns at once if the root lacks clearance, which leaves all the time to the recovery
-        self.recovers = self._recovers(root, was_recovering)
+        self.recovers = self._begin_recovery(root, was_recovering)
         if self.recovers:
             yield checking, 1.0
 
-    def _recovers(self, root: Floats, was_recovering: bool) -> bool:
-        """Whether a vehicle without a plan may leave with less than the present clearance, which is required then.
+    def _begin_recovery(self, root: Floats, was_recovering: bool) -> bool:
+        """Require less than the present clearance if a vehicle without a plan may leave with that; returns whether it may.
 
         It lacks clearance now, or once the bound has grown: then no plan could begin here either.
         """

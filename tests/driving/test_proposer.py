@@ -11,13 +11,12 @@ import pytest
 from support.replanner import BESIDE_THE_WALL, FARSIGHTED, MARGIN, drive, mushr, replanner, start, turns
 
 from kraft.driving.clearance import MIN_GOAL_RADIUS, Solvers, goal_region
-from kraft.driving.messages import Cycle, Estimate, ReferenceKind, Uncertainty
+from kraft.driving.messages import ReferenceKind, Uncertainty
 from kraft.driving.method import CalibratedBound, Clearance, PlannerSettings
 from kraft.driving.proposer import RECOVERY_MARGIN
 from kraft.errors import Defect
 from kraft.planning.workspace import goal_of
 from kraft.scenario import load_scenario
-from ompl_ext.arrays import Floats
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.plan import Plan
 from ompl_ext.query_tree import Progress
@@ -121,21 +120,6 @@ def test_recover_is_for_a_vehicle_at_rest_and_not_in_collision() -> None:
         assert subject.dirt.safety.delta == 0.15
 
 
-def leaving(begin: Floats, uncertainty: Uncertainty, cycles: int) -> list[Cycle]:
-    """Cycles from rest at `begin` with a measured bound; the vehicle is where it is predicted to be."""
-    subject = replanner(
-        tracking=True, model="mushr-drive", cycle=0.25, margin=0.03, iterations=500, recover=True,
-        bound=CalibratedBound(foresight=60.0), on_board="contingency", contingencies="tracked",
-    )  # fmt: skip
-    state, time, current, found = begin, 0.0, subject.begin(begin), list[Cycle]()
-    for _ in range(cycles):
-        found.append(subject.step(Estimate(time, state, 0.0, None, uncertainty), current))
-        current, time = found[-1].commitment, subject.next_step
-        predicted = found[-1].predicted
-        state = np.array([np.interp(time, predicted.times, column) for column in predicted.states.T])
-    return found
-
-
 @pytest.mark.parametrize(("nearer", "acceleration"), [(0.07, 3.0), (0.08, 0.5), (0.08, 3.0)])
 def test_a_vehicle_at_rest_leaves_a_narrow_place_however_fast_its_bound_grows(
     nearer: float, acceleration: float
@@ -143,7 +127,11 @@ def test_a_vehicle_at_rest_leaves_a_narrow_place_however_fast_its_bound_grows(
     """The bound grows by more in a cycle than a vehicle at rest can gain: it could not even stay."""
     uncertain = Uncertainty(np.diag([0.1**2, 0.1**2, 0.05**2, 0.05**2]), 0.01, acceleration)
     begin = BESIDE_THE_WALL + np.array([nearer, 0.0, 0.0, 0.0])
-    cycles = leaving(begin, uncertain, 16)
+    subject = replanner(
+        tracking=True, model="mushr-drive", cycle=0.25, margin=0.03, iterations=500, recover=True,
+        bound=CalibratedBound(foresight=60.0), on_board="contingency", contingencies="tracked",
+    )  # fmt: skip
+    cycles = drive(subject, 16, begin=begin, uncertainty=uncertain)
     assert min(cycle.clearance for cycle in cycles) > 0.02
     assert [cycle.kind for cycle in cycles[-8:]] == [ReferenceKind.PLAN] * 8
     assert cycles[-1].clearance > 0.2

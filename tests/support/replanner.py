@@ -10,7 +10,7 @@ import numpy as np
 from kraft.driving.clearance import DeviationBound, Solvers
 from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Kinodynamic, OpenLoop
-from kraft.driving.messages import Cycle, Estimate
+from kraft.driving.messages import Cycle, Estimate, Uncertainty
 from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.proposer import Proposal
 from kraft.driving.replanner import Replanner
@@ -71,14 +71,20 @@ def proposals(subject: Replanner, *bounds: DeviationBound) -> list[Proposal]:
     return found
 
 
-def drive(subject: Replanner, cycles: int, error: Floats | None = None, begin: Floats | None = None) -> list[Cycle]:
+def drive(
+    subject: Replanner,
+    cycles: int,
+    error: Floats | None = None,
+    begin: Floats | None = None,
+    uncertainty: Uncertainty | None = None,
+) -> list[Cycle]:
     """Cycles of a vehicle that is, up to `error`, where it is predicted to be."""
     state, time = start() if begin is None else begin, 0.0
     current = subject.begin(state)
     found: list[Cycle] = []
     for _ in range(cycles):
         estimated = state if error is None or not found else state + error
-        found.append(subject.step(Estimate(time, estimated, 0.0), current))
+        found.append(subject.step(Estimate(time, estimated, 0.0, None, uncertainty), current))
         current, time = found[-1].commitment, subject.next_step
         predicted = found[-1].predicted
         state = np.array([np.interp(time, predicted.times, column) for column in predicted.states.T])
