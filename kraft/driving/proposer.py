@@ -302,7 +302,7 @@ class Proposer:
             yield checking, 1.0
 
     def _begin_recovery(self, root: Floats, was_recovering: bool) -> bool:
-        """Require less than the present clearance if a vehicle without a plan may leave with that; returns whether it may.
+        """Require less than the present clearance if a vehicle without a plan may leave with that; whether it may.
 
         It lacks clearance now, or once the bound has grown: then no plan could begin here either.
         """
