@@ -256,9 +256,9 @@ class Adaptive(StrictModel):
     """standard deviation of the prior of the delay, s"""
     position_noise: Positive = 0.04
     """standard deviation of an observed position before residuals are known, m"""
-    heading_noise_deg: Positive = 2.5
+    heading_noise_deg: Positive = 2.0
     """standard deviation of an observed heading before residuals are known, degrees"""
-    correlated_share: Probability = 0.4
+    correlated_share: Probability = 0.6
     """share of the pose error's variance that is correlated, before residuals are known"""
     correlation_time: Seconds = 1.0
     """time constant of the correlated pose error, s"""

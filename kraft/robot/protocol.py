@@ -9,7 +9,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from kraft.driving.estimation import LevelCamera
+from kraft.driving.estimation import CameraModel
 from kraft.driving.estimation.adaptive import Learned
 from kraft.driving.messages import Commitment, Cycle, Observation
 from kraft.driving.method import Method
@@ -32,7 +32,7 @@ class DriveSpec:
     timeout: float
     seed: int = 0
     folder: Path | None = None
-    camera: LevelCamera | None = None
+    camera: CameraModel | None = None
 
     @property
     def period(self) -> float:

@@ -13,6 +13,7 @@ from typing import Final, Literal, Protocol
 
 import numpy as np
 
+from kraft.driving.estimation.camera_model import PowerLaw
 from kraft.driving.messages import Observation
 from kraft.errors import Code, InputError
 from kraft.scenario import Sensing
@@ -106,27 +107,6 @@ class MarkerCamera:
 
 
 @dataclass(frozen=True)
-class PowerLaw:
-    """Size of an error as a power law of the distance d to the camera: `at_5m` (d / 5 m)^`power` exp(`slant` phi).
-
-    phi (rad) is the angle between the line of sight and the vertical.
-    """
-
-    at_5m: float
-    power: float = 0.0
-    slant: float = 0.0
-
-    @classmethod
-    def through(cls, at_3m: float, at_5m: float) -> PowerLaw:
-        """Power law through the values at 3 m and at 5 m, whatever phi."""
-        return cls(at_5m, math.log(at_5m / at_3m) / math.log(5.0 / 3.0))
-
-    def at(self, distance: float, phi: float = 0.0) -> float:
-        """Size at a distance (m) and an angle (rad), in the unit it was given in."""
-        return self.at_5m * math.pow(distance / 5.0, self.power) * math.exp(self.slant * phi)
-
-
-@dataclass(frozen=True)
 class Part:
     """Share of an error's variance that decays over `length` m of travel or over `time` s; without both, white.
 
@@ -142,6 +122,9 @@ class Part:
         if self.length is not None:
             return math.exp(-travelled / self.length)
         return math.exp(-elapsed / self.time) if self.time else 0.0
+
+
+NO_MEAN: Final = PowerLaw(0.0)
 
 
 @dataclass(frozen=True)
@@ -163,7 +146,7 @@ class ErrorModel:
     parts: tuple[Part, ...]
     skew: float = 0.0
     tail: float = 0.0
-    mean: PowerLaw = PowerLaw(0.0)
+    mean: PowerLaw = NO_MEAN
     standing: float = 1.0
 
     def error(self, normal: float, distance: float, phi: float, blur: float) -> float:

@@ -65,9 +65,7 @@ class FastGraph:
         x = point.states[chains.state]
         led, jacobian = p.dynamics.linearise(x, point.controls, point.rho, chains.h)
         mean, slopes = p.actuators.mean(point.rho)
-        seen = p.at_poses(point.states)
-        by_state, by_rho = p.observation.linearise(seen, point.rho)
-        residuals = p.observation.residual(seen, point.rho, chains.poses)
+        residuals, (by_state, by_rho) = p.pose_residuals(point), p.linearised_poses(point)
         self._point = point
         self._graph = Graph(
             first=chains.first,
@@ -275,14 +273,16 @@ class PaperGraph:
 
     def _pose(self, j: int) -> Evaluate:
         observation, share = self.problem.observation, float(self.problem.chains.share[j])
-        pose = self.problem.chains.poses[j]
+        pose, frames = self.problem.chains.poses[j], self.problem.frames
+        frame = np.eye(len(pose)) if frames is None else frames[j]
 
         def evaluate(given: list[Floats]) -> tuple[Floats, list[Matrix]]:
             before, after, rho = given
             state = ((1.0 - share) * before + share * after)[None]
             by_state, by_rho = observation.linearise(state, rho)
             residual = observation.residual(state, rho, pose[None])[0]
-            return residual, [(1.0 - share) * by_state[0], share * by_state[0], by_rho[0]]
+            slope = frame @ by_state[0]
+            return frame @ residual, [(1.0 - share) * slope, share * slope, frame @ by_rho[0]]
 
         return evaluate
 

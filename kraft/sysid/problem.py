@@ -215,6 +215,8 @@ class Problem:
     dynamics: Dynamics
     observation: Observation
     noise: NoiseModel
+    frames: Floats | None = None
+    """(n, 3, 3) that take the residual of a pose to the directions and units of its noise; those of the pose if None"""
 
     def at_poses(self, states: Matrix) -> Matrix:
         """States (n, nx) interpolated at the times of the poses."""
@@ -224,8 +226,16 @@ class Problem:
         return result
 
     def pose_residuals(self, point: Point) -> Matrix:
-        """(n, 3) predicted less observed."""
-        return self.observation.residual(self.at_poses(point.states), point.rho, self.chains.poses)
+        """(n, 3) predicted less observed, in the directions and units of their noise."""
+        residuals = self.observation.residual(self.at_poses(point.states), point.rho, self.chains.poses)
+        return residuals if self.frames is None else np.einsum("nij,nj->ni", self.frames, residuals)
+
+    def linearised_poses(self, point: Point) -> tuple[Floats, Floats]:
+        """Derivatives of the residuals of poses by the interpolated state (n, 3, nx) and by rho (n, 3, np)."""
+        by_state, by_rho = self.observation.linearise(self.at_poses(point.states), point.rho)
+        if self.frames is None:
+            return by_state, by_rho
+        return np.ascontiguousarray(self.frames @ by_state), np.ascontiguousarray(self.frames @ by_rho)
 
     def dynamics_residuals(self, point: Point) -> Matrix:
         """(N, nx) next state less the step of the model."""

@@ -13,7 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.estimation import LevelCamera
+from kraft.driving.estimation import CameraModel
+from kraft.driving.estimation.camera_model import SINGLE_TAG
 from kraft.driving.estimation.dead_reckoning import DeadReckoning
 from kraft.driving.messages import Estimate, Observation
 from kraft.driving.vehicle_model import VehicleModel
@@ -48,11 +49,12 @@ class Radio:
         return not lost
 
 
-def level_camera(scenario: Scenario) -> LevelCamera | None:
-    """Camera as its user knows it, if its poses rest on the assumption of a level floor."""
-    if scenario.sensing.preset == "rendered":  # the height of the tag is measured as well
-        return None
-    return LevelCamera(scenario.sensing.camera, MARKER_HEIGHT, (scenario.start.x, scenario.start.y))
+def camera_model(scenario: Scenario) -> CameraModel:
+    """Camera as its user knows it: `rendered` measures the height of the tag, `planar` errs everywhere the same."""
+    sensing, start = scenario.sensing, scenario.start
+    level_at = None if sensing.preset == "rendered" else (start.x, start.y)
+    errors = None if sensing.preset == "planar" else SINGLE_TAG
+    return CameraModel(sensing.camera, MARKER_HEIGHT, level_at, errors)
 
 
 class Plant:

@@ -24,7 +24,7 @@ from kraft.driving.vehicle_model import model_of
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.true_world import TrueWorld, world_of
 from kraft.trial.measures import ClosestApproach, Measures, Step, measure
-from kraft.trial.plant import OracleEstimator, Plant, Radio, level_camera, true_model
+from kraft.trial.plant import OracleEstimator, Plant, Radio, camera_model, true_model
 from kraft.trial.result import Cause, Outcome, TrialResult, TrialSpec, collision_cause, timeout_cause
 from ompl_ext.exact import ExactClearance
 
@@ -108,7 +108,7 @@ class _Trial:
         self._estimator: Estimator = (
             OracleEstimator(self.world, scenario.sensing.command_delay, spec.vehicle, model, start)
             if isinstance(settings, Oracle)
-            else make_estimator(settings, model, start, level_camera(scenario))
+            else make_estimator(settings, model, start, camera_model(scenario))
         )
         self._model, self._realtime = model, spec.realtime
         self._communication_delay = scenario.sensing.communication_delay

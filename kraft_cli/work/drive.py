@@ -29,7 +29,7 @@ from kraft.robot.robot_file import Robot, load_robot
 from kraft.robot.show import Display
 from kraft.scenario import load_scenario
 from kraft.text import alternatives, counted
-from kraft.trial.plant import level_camera
+from kraft.trial.plant import camera_model
 from kraft.trial.result import planning_vehicle
 from kraft_cli.work.run import cycle_line
 from kraft_cli.work.run_folder import check_run_folder
@@ -163,7 +163,7 @@ def resolve(request: DriveRequest) -> DriveSpec:
     assert method is not None, "every problem was raised"
     assert scenario is not None, "every problem was raised"
     vehicle = planning_vehicle(scenario, method, request.vehicle)
-    camera = level_camera(scenario) if robot.pose.level_camera else None
+    camera = camera_model(scenario) if robot.pose.level_camera else None
     return DriveSpec(
         scenario.task(), on_the_clock(method), limited(vehicle, robot), robot, scenario.trial.timeout, request.seed,
         request.out, camera,

@@ -32,10 +32,12 @@ CAMERA_X, CAMERA_Y, CAMERA_Z, MARKER_HEIGHT, LEVEL_X, LEVEL_Y = range(6)
 class Sensor(NamedTuple):
     """How an observed pose depends on a state (n,): the sum of `parts`, the first of which is the pose itself.
 
-    The components `floor` are not corrected.  The camera takes the floor as level; without one they have no effect.
+    The second one is an error in other directions and units, which `spread` takes to those of a pose.  The components
+    `floor` are not corrected.  The camera takes the floor as level; without one they have no effect.
     """
 
     parts: IntMatrix  # (m, 3)
+    spread: Matrix  # (3, 3)
     floor: Ints  # (2,), or none
     camera: Floats  # (6,), or none
 
@@ -87,6 +89,18 @@ def _see(camera: Floats, inputs: Floats, seen: Floats, jacobian: Matrix, work: M
 
 
 @part
+def errors(row: int, column: Floats, sensor: Sensor) -> float:
+    """Sum of the errors of a component of the pose in a state (n,)."""
+    total = 0.0
+    if len(sensor.parts) > 1:
+        for k in range(3):
+            total += sensor.spread[row, k] * column[sensor.parts[1, k]]
+    for m in range(2, len(sensor.parts)):
+        total += column[sensor.parts[m, row]]
+    return total
+
+
+@part
 def weighted(jacobian: Matrix, row: int, column: Floats, sensor: Sensor) -> float:
     """Row of the derivatives of a pose by the state, times a column (n,)."""
     total = 0.0
@@ -94,9 +108,7 @@ def weighted(jacobian: Matrix, row: int, column: Floats, sensor: Sensor) -> floa
         total += jacobian[row, k] * column[sensor.parts[0, k]]
     for k in range(len(sensor.floor)):
         total += jacobian[row, 3 + k] * column[sensor.floor[k]]
-    for m in range(1, len(sensor.parts)):
-        total += column[sensor.parts[m, row]]
-    return total
+    return total + errors(row, column, sensor)
 
 
 def _expect(
@@ -114,8 +126,7 @@ def _expect(
             inputs[3 + k] = mean[sensor.floor[k]]
         linearise(sensor.camera, inputs, pose, jacobian, work[4:])
     for row in range(3):
-        for m in range(1, len(sensor.parts)):
-            pose[row] += mean[sensor.parts[m, row]]
+        pose[row] += errors(row, mean, sensor)
         for a in range(len(mean)):
             cross[a, row] = weighted(jacobian, row, covariance[a], sensor)
     for column in range(3):

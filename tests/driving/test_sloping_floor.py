@@ -10,7 +10,7 @@ import pytest
 from support.adaptive import BEGIN, correlated, driven, exciting, pose_at, vehicle
 from support.driving import RATE
 
-from kraft.driving.estimation import LevelCamera
+from kraft.driving.estimation import CameraModel
 from kraft.driving.estimation.adaptive import HOLDS, AdaptiveEstimator, Learned, online_parameters
 from kraft.driving.estimation.pose_filter import ConstantOfDrive
 from kraft.driving.estimation.sliding_window import Drive, Identified
@@ -24,7 +24,7 @@ from kraft.simulation.floor_frame import FloorFrame
 from kraft.vehicles import GRAVITY
 from ompl_ext.arrays import Floats
 
-CAMERA = LevelCamera((1.0, 3.0, 5.0), MARKER_HEIGHT, (0.0, 0.0))
+CAMERA = CameraModel((1.0, 3.0, 5.0), MARKER_HEIGHT, (0.0, 0.0))
 EXACT = np.zeros((2, 2))
 SLOPES = [np.array([0.0, 0.0]), np.array([0.0, 0.15]), np.array([-0.1, 0.05])]
 
@@ -35,7 +35,7 @@ def poses(count: int = 20) -> Floats:
     return drawn
 
 
-def observed(camera: LevelCamera, pose: Floats, slope: Floats) -> Floats:
+def observed(camera: CameraModel, pose: Floats, slope: Floats) -> Floats:
     """Pose (3,) that a camera measures of a pose (3,) on a floor with `slope` (2,)."""
     return camera.linearised(pose, slope)[0]
 
@@ -90,11 +90,11 @@ def uphill(subject: AdaptiveEstimator, slope: Floats) -> tuple[Floats, Floats]:
     return states[now], estimate.state
 
 
-def camera() -> LevelCamera:
-    return replace(CAMERA, position=(-1.0, -2.0, 4.0), start=(float(BEGIN[0]), float(BEGIN[1])))
+def camera() -> CameraModel:
+    return replace(CAMERA, position=(-1.0, -2.0, 4.0), level_at=(float(BEGIN[0]), float(BEGIN[1])))
 
 
-def subject(known: LevelCamera | None) -> AdaptiveEstimator:
+def subject(known: CameraModel | None) -> AdaptiveEstimator:
     settings = Adaptive(kind="adaptive", compensate=False)
     return AdaptiveEstimator(settings, CarModel(vehicle()), BEGIN, known)
 
@@ -215,7 +215,7 @@ def test_data_that_tell_nothing_leave_the_prior_whatever_their_error() -> None:
     assert covariance == pytest.approx(prior)
 
 
-@pytest.mark.parametrize(("turn", "across", "along"), [(0.1, 3.2, 0.25), (1.5, 0.32, 0.40)])
+@pytest.mark.parametrize(("turn", "across", "along"), [(0.1, 1.28, 0.10), (1.5, 0.128, 0.16)])
 def test_a_force_across_the_drive_is_uncertain_unless_the_vehicle_turns(
     turn: float, across: float, along: float
 ) -> None:

@@ -8,7 +8,8 @@ import pytest
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels.pose_fusion import INPUTS, WORK, Sensor, pose_fusion
 
-SIZE = 11  # pose, speed, errors of the pose, one component without effect, floor, one more without effect
+SIZE = 14  # pose, speed, errors of the pose, one component without effect, floor, further errors, one without effect
+SPREAD = np.array([[1.2, -0.4, 0.0], [0.9, 0.5, 0.0], [0.0, 0.0, 2.0]])
 CAMERA = np.array([1.0, 3.0, 5.0, 0.2, 0.5, -0.5])
 NOISE = np.diag([4e-4, 5e-4, 1e-3])
 
@@ -22,7 +23,7 @@ def state(seed: int = 0) -> tuple[Floats, Matrix]:
 
 
 def sensor(camera: Floats) -> Sensor:
-    return Sensor(parts=np.array([[0, 1, 2], [4, 5, 6]]), floor=np.array([8, 9]), camera=camera)
+    return Sensor(np.array([[0, 1, 2], [4, 5, 6], [10, 11, 12]]), SPREAD, floor=np.array([8, 9]), camera=camera)
 
 
 def expected(mean: Floats, covariance: Matrix, camera: Floats) -> tuple[Floats, Matrix, Matrix]:
@@ -43,9 +44,9 @@ def test_the_expected_pose_and_its_covariances_are_those_of_its_derivatives(came
     assert of_pose == pytest.approx(jacobian @ covariance @ jacobian.T, abs=1e-7)
 
 
-def test_errors_add_to_the_pose() -> None:
+def test_errors_add_to_the_pose_the_first_ones_in_their_own_directions_and_units() -> None:
     mean, covariance = state()
-    assert expected(mean, covariance, np.zeros(0))[0] == pytest.approx(mean[:3] + mean[4:7])
+    assert expected(mean, covariance, np.zeros(0))[0] == pytest.approx(mean[:3] + SPREAD @ mean[4:7] + mean[10:13])
 
 
 def test_a_level_floor_is_seen_as_it_is() -> None:

@@ -121,9 +121,16 @@ def differences(function: Callable[[Floats], Floats], at: Floats, change: float 
     return np.array(columns).T
 
 
-def test_one_step_of_the_fast_graph_is_that_of_the_dense_problem() -> None:
+def frames_of(problem: Problem) -> Floats:
+    """Some frame for the errors of each pose."""
+    return np.eye(3) + 0.4 * np.random.default_rng(3).normal(size=(len(problem.chains.poses), 3, 3))
+
+
+@pytest.mark.parametrize("framed", [False, True])
+def test_one_step_of_the_fast_graph_is_that_of_the_dense_problem(framed: bool) -> None:
     """Every derivative that the fast graph uses is checked by this, and all of the elimination."""
     problem, point = small_problem()
+    problem = replace(problem, frames=frames_of(problem) if framed else None)
     jacobian = differences(lambda x: whitened(problem, shaped(x, point)), flat(point))
     dense = shaped(np.linalg.lstsq(jacobian, -whitened(problem, point), rcond=None)[0], point)
     graph = FastGraph(problem)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from kraft.driving.estimation.camera_model import CameraModel
 from kraft.driving.estimation.dead_reckoning import LatestPose
-from kraft.driving.estimation.pose_filter import LevelCamera, PoseFilter
+from kraft.driving.estimation.pose_filter import PoseFilter
 from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
 from kraft.driving.method import Adaptive, Filter, Latest
 from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats
 
-__all__ = ["Estimator", "LatestPose", "LevelCamera", "PoseFilter", "make_estimator"]
+__all__ = ["CameraModel", "Estimator", "LatestPose", "PoseFilter", "make_estimator"]
 
 
 class Estimator(Protocol):
@@ -49,11 +50,11 @@ class Estimator(Protocol):
 
 
 def make_estimator(
-    settings: Latest | Filter | Adaptive, model: VehicleModel, start_state: Floats, camera: LevelCamera | None = None
+    settings: Latest | Filter | Adaptive, model: VehicleModel, start_state: Floats, camera: CameraModel | None = None
 ) -> Estimator:
     """Make the estimator of a method; the state at time 0 is `start_state` (nx,).
 
-    `camera` is the one that the poses come from, if it takes the floor as level.
+    `camera` is the one that the poses come from, if it is known.
 
     Raises:
         InputError: if parameters are to be estimated whose ranges the vehicle does not state.

@@ -15,6 +15,7 @@ from typing import Final
 
 import numpy as np
 
+from kraft.driving.estimation.camera_model import CameraModel
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX, with_identified_drift
 from kraft.driving.estimation.pose_filter import (
     CORRELATED,
@@ -22,7 +23,6 @@ from kraft.driving.estimation.pose_filter import (
     FLOOR,
     OFFSET,
     ConstantOfDrive,
-    LevelCamera,
     PoseFilter,
     Posterior,
     Prior,
@@ -63,7 +63,7 @@ SLOW: Final = 0.2
 """Speed or turning rate below which identified parameters are used at once, m/s or rad/s."""
 HOLDS: Final = 0.8
 """Largest force in use, as a share of what the drive can hold at rest."""
-PASSING_FORCE: Final = 0.5
+PASSING_FORCE: Final = 0.2
 """Standard deviation of a force that comes and goes, such as that of a box that the vehicle pushes, m/s^2."""
 PASSING_TIME: Final = 2.5
 """Time for which such a force stays the same, s."""
@@ -107,11 +107,11 @@ class AdaptiveEstimator:
     """Estimates state, parameters, delay and noise; see the module."""
 
     def __init__(
-        self, settings: Adaptive, model: VehicleModel, start_state: Floats, camera: LevelCamera | None = None
+        self, settings: Adaptive, model: VehicleModel, start_state: Floats, camera: CameraModel | None = None
     ) -> None:
-        """Begin at rest at `start_state` (nx,); `camera` is one that takes the floor as level, None for others.
+        """Begin at rest at `start_state` (nx,); `camera` is the one that the poses come from, if it is known.
 
-        The camera's errors on a slope are corrected for a vehicle that states what share of gravity it feels.
+        Its errors on a slope are corrected for a vehicle that states what share of gravity it feels.
 
         Raises:
             InputError: if the vehicle states no ranges of its parameters.
@@ -121,8 +121,8 @@ class AdaptiveEstimator:
         parameters = online_parameters(model.vehicle, settings)
         self._noise = NoiseEstimate.of(settings)
         self._force = [] if model.vehicle.gravity_share is None else [parameters.index(name) for name in FORCE]
-        if not self._force:  # then no force tells the slope
-            camera = None
+        if camera is not None and not self._force:  # then no force tells the slope
+            camera = replace(camera, level_at=None)
         self._filter = CorrelatedFilter(settings, model, start_state, camera)
         self._camera = camera
         self._filter.set_noise(self._noise)
@@ -133,7 +133,7 @@ class AdaptiveEstimator:
         turning[: parameters.model_size] = model.acts_on_turning()
         self._window = SlidingWindow(
             parameters, settings.window, settings.step, process, settings.control_share * (high - low),
-            settings.iterations, turning,
+            settings.iterations, turning, camera,
         )  # fmt: skip
         self._values: Floats = np.array(list(model.vehicle.parameters.values()))  # of the vehicle, in use
         self._identified: Identified | None = None
@@ -156,6 +156,8 @@ class AdaptiveEstimator:
 
     def observe(self, observation: Observation) -> None:
         """Process a pose that has arrived, in any order of stamps; a repeated pose changes nothing."""
+        if self._camera is not None:
+            observation = self._camera.without_mean(observation)
         self._filter.observe(observation)
         self._history.observe(observation, self._filter.posterior.mean[: len(self._model.vehicle.state)])
 
@@ -167,7 +169,7 @@ class AdaptiveEstimator:
     def _moves(self) -> bool:
         """Whether the vehicle moves, by the filter or by the poses: a filter with wrong parameters may not see it."""
         velocities = np.abs(self._filter.posterior.mean[self._model.velocities])
-        return bool((velocities > MOVING).any()) or self._history.has_moved(float(self._noise.variance[:2].max()))
+        return bool((velocities > MOVING).any()) or self._history.has_moved(self._filter.position_variance)
 
     def leave_out(self, begin: float, end: float) -> None:
         """Identify nothing from the time from `begin` to `end` (s), nor a change that was found with it."""
@@ -286,7 +288,7 @@ class AdaptiveEstimator:
         The floor stays as it is: a force that has changed has another cause, such as a box that the vehicle pushes.  So
         what the drive showed before the window counts as well.
         """
-        if self._camera is None or not self._settings.identify:
+        if self._camera is None or self._camera.level_at is None or not self._settings.identify:
             return
         felt, force, identified = felt_gravity(self._model.vehicle), self._force, learned.identified
         of_window = identified.constant[force], identified.constant_covariance[np.ix_(force, force)]
@@ -336,6 +338,7 @@ def _possible(slope: Floats) -> Floats:
 class CorrelatedFilter(PoseFilter):
     """Filter whose state (nx + 9,) has errors of the pose beside the excess of the speed: correlated ones, and offsets.
 
+    Correlated errors are those that a known camera would have straight below it, along and across its line of sight.
     The offset is that of the camera at the place of the vehicle.  Only the start, which is known, tells about it.  The
     last components are the floor, by which a camera that takes it as level is wrong.  Poses do not correct it: errors
     of the camera are not taken for slopes.  Its uncertainty is part of all covariances; only the identified force tells
@@ -343,7 +346,7 @@ class CorrelatedFilter(PoseFilter):
     """
 
     def __init__(
-        self, settings: Adaptive, model: VehicleModel, start_state: Floats, camera: LevelCamera | None = None
+        self, settings: Adaptive, model: VehicleModel, start_state: Floats, camera: CameraModel | None = None
     ) -> None:
         stated = {name: getattr(settings, name) for name in Filter.model_fields if hasattr(settings, name)}
         times = np.full(ERRORS, settings.offset_time)
@@ -359,15 +362,17 @@ class CorrelatedFilter(PoseFilter):
         self._set_variance(OFFSET, np.square(offset), settings.offset_time)
         self._sensor = Sensor(
             parts=np.stack([self._pose, self._part(CORRELATED), self._part(OFFSET)]),
+            spread=np.eye(3),
             floor=self._part(FLOOR),
             camera=np.zeros(0) if camera is None else camera.values,
         )
-        if camera is not None:
+        self._camera = camera
+        if camera is not None and camera.level_at is not None:
             self.posterior.covariance[self._part(FLOOR), self._part(FLOOR)] = slope_deviations(model.vehicle) ** 2
 
     @property
     def floor(self) -> Floats:
-        """Estimated slope (2,) of the floor, see `LevelCamera`, at most `STEEPEST`."""
+        """Estimated slope (2,) of the floor, see `CameraModel`, at most `STEEPEST`."""
         return _possible(self.posterior.mean[self._part(FLOOR)])
 
     def set_slope(self, slope: Floats, covariance: Matrix) -> None:
@@ -388,9 +393,23 @@ class CorrelatedFilter(PoseFilter):
 
     def set_noise(self, noise: NoiseEstimate) -> None:
         """Set the noise of poses from now on."""
-        self._noise = np.diag(noise.variance * (1.0 - noise.share))
         self._process_model.times[CORRELATED], self._correlated_variance = noise.time, noise.variance * noise.share
+        self._independent_variance = noise.variance * (1.0 - noise.share)
         self._set_variance(CORRELATED, self._correlated_variance, noise.time)
+        self._look_at(*self.posterior.mean[self._pose[:2]].tolist())
+
+    def _look_at(self, x: float, y: float) -> None:
+        """Set the noise of a pose at a place (m), by what the camera has there."""
+        spread = self._sensor.spread
+        if self._camera is not None:
+            spread[:] = self._camera.spread(x, y)
+        self._noise = (spread * self._independent_variance) @ spread.T
+
+    @property
+    def position_variance(self) -> float:
+        """Largest variance of an observed x or y at the place of the vehicle, m^2."""
+        variance = self._independent_variance + self._correlated_variance
+        return float((self._sensor.spread[:2] ** 2 @ variance).max())
 
     def _set_variance(self, part: slice, variance: Floats, time: float) -> None:
         """Set the stationary variance (3,) of a part of the pose error, whose time constant is `time` s."""
@@ -434,7 +453,8 @@ class CorrelatedFilter(PoseFilter):
             self._part(CORRELATED),
             float(np.linalg.norm(whitened)),
         )
-        unexpected = np.outer(prior.innovation, prior.innovation)
+        error = np.linalg.solve(self._sensor.spread, prior.innovation)
+        unexpected = np.outer(error, error)
         covariance[np.ix_(correlated, correlated)] += (self._limit**-2.0 - distance**-2.0) * unexpected
         _, cross, expected = self._expected(prior.mean, covariance)
         doubted = replace(prior, covariance=covariance, cross_covariance=cross, pose_covariance=expected)
@@ -458,10 +478,11 @@ class CorrelatedFilter(PoseFilter):
         """
         mean, covariance, correlated = posterior.mean.copy(), posterior.covariance.copy(), self._part(CORRELATED)
         error = mean[correlated]
-        covariance[self._pose_block] += np.outer(error, error)
+        of_pose = self._sensor.spread @ error
+        covariance[self._pose_block] += np.outer(of_pose, of_pose)
         covariance[np.ix_(correlated, correlated)] += np.outer(error, error)
         _, cross, expected = self._expected(mean, covariance)
         _, after = self._gain(covariance, cross, expected + self._noise)
-        mean[self._pose] += 0.5 * error
+        mean[self._pose] += 0.5 * of_pose
         mean[correlated] += -0.5 * error
         return Posterior(posterior.time, mean, after, posterior.observation)

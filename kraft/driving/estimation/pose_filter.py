@@ -1,11 +1,7 @@
-"""Extended Kalman filter over all observed poses that gives outliers less weight, and poses from a camera over a slope.
+"""Extended Kalman filter over all observed poses that gives outliers less weight.
 
 The process model of the filter is the vehicle's, with the excess of the speed over the model's as one more state
 component.
-
-A camera that assumes a level floor reports where its line of sight to the marker meets the plane in which the marker
-would move on a level floor.  On a sloping one that is too far from the camera where the floor is higher, and too near
-where it is lower (`LevelCamera`).
 """
 
 from __future__ import annotations
@@ -25,7 +21,7 @@ from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Defect
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels.moments import Motion, moments
-from ompl_ext.kernels.pose_fusion import FLOOR_SIZE, HALF_LENGTH, INPUTS, WORK, Sensor, pose_fusion
+from ompl_ext.kernels.pose_fusion import FLOOR_SIZE, WORK, Sensor, pose_fusion
 from ompl_ext.kernels.specialise import kernels
 
 MAX_HISTORY: Final = 32
@@ -145,7 +141,7 @@ class PoseFilter:
         self._pose = np.array([model.x, model.y, model.theta])
         self._pose_block = np.ix_(self._pose, self._pose)
         self._noise = np.diag([settings.position_noise**2, settings.position_noise**2, heading**2])
-        self._sensor = Sensor(self._pose[None], floor=np.zeros(0, np.int64), camera=np.zeros(0))
+        self._sensor = Sensor(self._pose[None], np.eye(3), floor=np.zeros(0, np.int64), camera=np.zeros(0))
         self._fusion, self._work = pose_fusion(), np.empty(WORK)
         self._variance_rate = self._process_model.variance_rate
         self._variance_rate[: len(start_state)] = model.velocity_drift(settings.speed_drift)
@@ -217,9 +213,13 @@ class PoseFilter:
         commands = self._reckoning.commands.between(posterior.time, time)
         return self._process_model.predicted(posterior.mean, posterior.covariance, commands)
 
+    def _look_at(self, x: float, y: float) -> None:
+        """Set the noise of a pose at a place (m): it is the same everywhere."""
+
     def _update(self, posterior: Posterior, pose: Observation) -> Posterior:
         """Posterior after a pose: the Kalman update, or that after an outlier."""
         mean, covariance = self._predict(posterior, pose.time)
+        self._look_at(*mean[self._pose[:2]].tolist())
         (x, y, theta), cross_covariance, pose_covariance = self._expected(mean, covariance)
         innovation = np.array([pose.x - x, pose.y - y, math.remainder(pose.theta - theta, math.tau)])
         prior, whitened = Prior(mean, covariance, innovation, cross_covariance, pose_covariance), np.empty(3)
@@ -276,51 +276,6 @@ def _chi_limit(confidence: float) -> float:
     from scipy.special import gammaincinv  # which takes a tenth of what a trial imports
 
     return math.sqrt(2.0 * float(gammaincinv(1.5, confidence)))
-
-
-@dataclass(frozen=True)
-class LevelCamera:
-    """Camera at `position` (x, y, z) m that takes the floor as level, and the marker as `marker_height` m above it.
-
-    `start` is the x, y (m) where the floor is at the height that the camera takes it to be at.
-    """
-
-    position: tuple[float, float, float]
-    marker_height: float
-    start: tuple[float, float]
-
-    def linearised(self, pose: Floats, floor: Floats) -> tuple[Floats, Matrix]:
-        """Measured pose (3,), and its Jacobian (3, 5) with respect to the pose and the floor."""
-        seen, jacobian = np.empty(3), np.empty((3, INPUTS))
-        pose_fusion().see(self.values, np.concatenate([pose, floor]), seen, jacobian, np.empty((2, INPUTS)))
-        return seen, jacobian
-
-    @property
-    def values(self) -> Floats:
-        """(6,) that compiled code reads, see `ompl_ext.kernels.pose_fusion`."""
-        return np.array([*self.position, self.marker_height, *self.start], dtype=np.float64)
-
-    def on_floor(self, poses: Matrix, floor: Floats) -> Matrix:
-        """Poses (n, 3) on a floor (2,), given those (n, 3) that were measured; a heading stays within half a turn."""
-        along = HALF_LENGTH * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
-        front, rear = (self._place_on_floor(poses[:, :2] + sign * along, floor) for sign in (1.0, -1.0))
-        turned = np.arctan2(*(front - rear).T[::-1]) - poses[:, 2]
-        turned -= math.tau * np.round(turned / math.tau)
-        return np.column_stack([0.5 * (front + rear), poses[:, 2] + turned])
-
-    def _place_on_floor(self, seen: Matrix, floor: Floats) -> Matrix:
-        """Places (n, 2) of the vehicle for measured ones: where the line of sight meets the plane of the marker."""
-        x, y, z = self.position
-        slope, level = floor, math.sqrt(max(1.0 - float(floor @ floor), 0.0))
-        # The marker is at `camera` + share (seen - camera), at the height z - share (z - marker_height).
-        direction = seen - (x, y)
-        away = np.array([x, y]) - self.start + self.marker_height * slope
-        above = z - self.marker_height * level - slope @ away / level
-        share = above / (z - self.marker_height + direction @ slope / level)
-        marker = (x, y) + share[:, None] * direction - self.start + self.marker_height * slope
-        rise = marker @ slope / level
-        place: Matrix = self.start + marker + (rise / (1.0 + level))[:, None] * slope
-        return place
 
 
 class ConstantOfDrive:

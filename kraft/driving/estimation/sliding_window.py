@@ -15,6 +15,7 @@ from typing import Final
 
 import numpy as np
 
+from kraft.driving.estimation.camera_model import CameraModel
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
 from kraft.driving.messages import Observation
 from kraft.driving.method import Adaptive
@@ -185,6 +186,8 @@ class DriveHistory:
 class Identified:
     """Posterior of rho: mean (np,) and covariance (np, np); `residuals` (n, 3) of the poses at `times` (n,) s.
 
+    Residuals are in the directions and units of their noise: along and across the line of sight of a known camera.
+
     `constant` (np,) with `constant_covariance` (np, np) is the posterior if no parameter has changed in the window.
     """
 
@@ -224,6 +227,7 @@ class SlidingWindow:
         control: Floats,
         iterations: int,
         turning: Bools,
+        camera: CameraModel | None = None,
     ) -> None:
         """Set the noise of the model.
 
@@ -235,6 +239,7 @@ class SlidingWindow:
             control: (nu,) standard deviation of the applied control from the command.
             iterations: largest number of iterations of an update, which begins at the last one's result.
             turning: (np,) whether a parameter acts on turning alone, see `VehicleModel.acts_on_turning`.
+            camera: that the poses come from, if it is known; the noise of poses is then that straight below it.
         """
         self.parameters = parameters
         self._length, self._step, self._iterations = length, step, iterations
@@ -242,7 +247,7 @@ class SlidingWindow:
         self.rho = parameters.nominal.copy()
         of_model = np.arange(len(parameters.specs)) < parameters.model_size
         self._may_change = parameters.free & of_model & [spec.unit != "m" for spec in parameters.specs]
-        self._turning = turning
+        self._turning, self._camera = turning, camera
         self._changed_at: float | None = None
 
     def set_std(self, k: int, std: float) -> None:
@@ -267,6 +272,8 @@ class SlidingWindow:
         if not segments:
             return None
         problem = assemble(segments, 1, self.parameters, self._noise_model(noise(math.inf)))
+        if self._camera is not None:
+            problem = replace(problem, frames=self._camera.frames(problem.chains.poses[:, :2]))
         graph = FastGraph(problem)
         optimum = optimise(graph, self._start(problem, drive), self._iterations)
         self.rho = optimum.point.rho
@@ -421,7 +428,10 @@ SHARE_MAX: Final = 0.95
 
 @dataclass(frozen=True)
 class NoiseEstimate:
-    """Noise of poses: variances (3,), of which the share `share` (3,) decays with the time constant `time` (s)."""
+    """Noise of poses: variances (3,), of which the share `share` (3,) decays with the time constant `time` (s).
+
+    With a known camera that of poses straight below it: along and across its line of sight, and of the heading.
+    """
 
     variance: Floats
     share: Floats

@@ -1,0 +1,160 @@
+"""The camera as its user knows it: where it is, how a sloping floor and the place of a marker change what it measures.
+
+A camera that assumes a level floor reports where its line of sight to the marker meets the plane in which the marker
+would move on a level floor.  On a sloping one that is too far from the camera where the floor is higher, and too near
+where it is lower.  The pose of a single tag is uncertain along the line of sight, and much less across it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from kraft.driving.messages import Observation
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.kernels.pose_fusion import HALF_LENGTH, INPUTS, pose_fusion
+
+LEAST_ACROSS: Final = 0.25
+"""Size of the errors across the line of sight, at least, as a share of that straight below the camera."""
+BELOW: Final = 1e-9
+"""Distance from the point below the camera within which a marker counts as straight below it, m."""
+
+
+@dataclass(frozen=True)
+class PowerLaw:
+    """Size of an error as a power law of the distance d to the camera: `at_5m` (d / 5 m)^`power` exp(`slant` phi).
+
+    phi (rad) is the angle between the line of sight and the vertical.
+    """
+
+    at_5m: float
+    power: float = 0.0
+    slant: float = 0.0
+
+    @classmethod
+    def through(cls, at_3m: float, at_5m: float) -> PowerLaw:
+        """Power law through the values at 3 m and at 5 m, whatever phi."""
+        return cls(at_5m, math.log(at_5m / at_3m) / math.log(5.0 / 3.0))
+
+    def at(self, distance: float, phi: float = 0.0) -> float:
+        """Size at a distance (m) and an angle (rad), in the unit it was given in."""
+        return self.at_5m * math.pow(distance / 5.0, self.power) * math.exp(self.slant * phi)
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """Errors of a measured pose by the place of the marker.
+
+    `along` and `across` the camera's line of sight on the floor, and of the `heading`: as multiples of what the errors
+    are straight below a camera in 5 m.  `mean` (m) is the mean error, away from the camera.
+    """
+
+    along: PowerLaw
+    across: PowerLaw
+    heading: PowerLaw
+    mean: PowerLaw
+
+
+SINGLE_TAG: Final = PoseErrors(
+    along=PowerLaw(1.0, 2.0, 1.1),
+    across=PowerLaw(1.0, 1.3, -4.7),
+    heading=PowerLaw(1.0, 2.1, 1.9),
+    mean=PowerLaw(0.0116, 2.8, 1.65),
+)
+"""Those of a tag of 15 cm whose height is not known, from rendered frames (python -m benchmarks sensing)."""
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """Camera at `position` (x, y, z) m, and a marker that moves `marker_height` m above the floor.
+
+    Attributes:
+        position: of the camera, m.
+        marker_height: of the marker above the floor, m.
+        level_at: x, y (m) where the floor is at the height that the camera takes it to be at, if it takes the floor as
+            level; None if it measures heights itself.
+        errors: of the poses by the place of the marker; None if they are the same everywhere.
+    """
+
+    position: tuple[float, float, float]
+    marker_height: float
+    level_at: tuple[float, float] | None = None
+    errors: PoseErrors | None = None
+
+    def linearised(self, pose: Floats, floor: Floats) -> tuple[Floats, Matrix]:
+        """Measured pose (3,), and its Jacobian (3, 5) with respect to the pose and the floor."""
+        seen, jacobian = np.empty(3), np.empty((3, INPUTS))
+        pose_fusion().see(self.values, np.concatenate([pose, floor]), seen, jacobian, np.empty((2, INPUTS)))
+        return seen, jacobian
+
+    @property
+    def values(self) -> Floats:
+        """(6,) that compiled code reads, see `ompl_ext.kernels.pose_fusion`; none if the camera measures heights."""
+        if self.level_at is None:
+            return np.zeros(0)
+        return np.array([*self.position, self.marker_height, *self.level_at], dtype=np.float64)
+
+    def on_floor(self, poses: Matrix, floor: Floats) -> Matrix:
+        """Poses (n, 3) on a floor (2,), given those (n, 3) that were measured; a heading stays within half a turn."""
+        if self.level_at is None:
+            return poses
+        along = HALF_LENGTH * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+        front, rear = (self._place_on_floor(poses[:, :2] + s * along, floor, self.level_at) for s in (1.0, -1.0))
+        turned = np.arctan2(*(front - rear).T[::-1]) - poses[:, 2]
+        turned -= math.tau * np.round(turned / math.tau)
+        return np.column_stack([0.5 * (front + rear), poses[:, 2] + turned])
+
+    def _place_on_floor(self, seen: Matrix, floor: Floats, level_at: tuple[float, float]) -> Matrix:
+        """Places (n, 2) of the vehicle for measured ones: where the line of sight meets the plane of the marker."""
+        x, y, z = self.position
+        slope, level = floor, math.sqrt(max(1.0 - float(floor @ floor), 0.0))
+        # The marker is at `camera` + share (seen - camera), at the height z - share (z - marker_height).
+        direction = seen - (x, y)
+        away = np.array([x, y]) - level_at + self.marker_height * slope
+        above = z - self.marker_height * level - slope @ away / level
+        share = above / (z - self.marker_height + direction @ slope / level)
+        marker = (x, y) + share[:, None] * direction - level_at + self.marker_height * slope
+        rise = marker @ slope / level
+        place: Matrix = level_at + marker + (rise / (1.0 + level))[:, None] * slope
+        return place
+
+    def without_mean(self, pose: Observation) -> Observation:
+        """A measured pose without the mean error."""
+        if self.errors is None:
+            return pose
+        (along_x, along_y), distance, phi = self._sight(pose.x, pose.y)
+        mean = self.errors.mean.at(distance, phi) if phi > 0.0 else 0.0
+        return replace(pose, x=pose.x - mean * along_x, y=pose.y - mean * along_y)
+
+    def spread(self, x: float, y: float) -> Matrix:
+        """Errors (3, 3) of a pose at a place (m), by those along and across the line of sight and of the heading.
+
+        As multiples of those straight below a camera in 5 m; the unit matrix if errors are the same everywhere.
+        """
+        if self.errors is None:
+            return np.eye(3)
+        (along_x, along_y), (along, across, heading) = self._sizes(self.errors, x, y)
+        return np.array(
+            [[along * along_x, -across * along_y, 0.0], [along * along_y, across * along_x, 0.0], [0.0, 0.0, heading]]
+        )
+
+    def frames(self, places: Matrix) -> Floats:
+        """Inverses (n, 3, 3) of `spread` at places (n, 2): they take errors to those straight below the camera."""
+        return np.linalg.inv(np.array([self.spread(x, y) for x, y in places.tolist()]))
+
+    def _sizes(self, errors: PoseErrors, x: float, y: float) -> tuple[tuple[float, float], tuple[float, float, float]]:
+        """Direction of the line of sight on the floor; sizes of the errors along it, across it and of the heading."""
+        direction, distance, phi = self._sight(x, y)
+        across = max(LEAST_ACROSS, errors.across.at(distance, phi))
+        return direction, (errors.along.at(distance, phi), across, errors.heading.at(distance, phi))
+
+    def _sight(self, x: float, y: float) -> tuple[tuple[float, float], float, float]:
+        """Direction (2,) of the line of sight on the floor, its length (m), and its angle from the vertical (rad)."""
+        from_x, from_y, height = x - self.position[0], y - self.position[1], self.position[2] - self.marker_height
+        away = math.hypot(from_x, from_y)
+        if away < BELOW:
+            return (1.0, 0.0), height, 0.0
+        return (from_x / away, from_y / away), math.hypot(away, height), math.atan2(away, height)
