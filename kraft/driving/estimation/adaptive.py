@@ -55,7 +55,7 @@ CONTRADICTION: Final = 2.0
 """Difference between a stated delay and what poses say, in standard deviations, above which it is doubted."""
 SAME_TURN: Final = 1.0
 """Time for which the error of a turning rate by wrong parameters counts as the same, s."""
-SAME_ACCELERATION: Final = 0.25
+SAME_ACCELERATION: Final = 0.5
 """Time for which the error of an acceleration by wrong parameters counts as the same, s."""
 SIGNIFICANT: Final = 1.0
 """Squared change of the parameters, by their covariance, up to which those in use are kept."""
