@@ -43,6 +43,11 @@ class PowerLaw:
         """Size at a distance (m) and an angle (rad), in the unit it was given in."""
         return self.at_5m * math.pow(distance / 5.0, self.power) * math.exp(self.slant * phi)
 
+    def at_each(self, distances: Floats, phis: Floats) -> Floats:
+        """The same at distances and angles (n,)."""
+        sizes: Floats = self.at_5m * (distances / 5.0) ** self.power * np.exp(self.slant * phis)
+        return sizes
+
 
 @dataclass(frozen=True)
 class PoseErrors:
@@ -125,9 +130,12 @@ class CameraModel:
         """A measured pose without the mean error."""
         if self.errors is None:
             return pose
-        (along_x, along_y), distance, phi = self._sight(pose.x, pose.y)
-        mean = self.errors.mean.at(distance, phi) if phi > 0.0 else 0.0
-        return replace(pose, x=pose.x - mean * along_x, y=pose.y - mean * along_y)
+        from_x, from_y, height = pose.x - self.position[0], pose.y - self.position[1], self._above
+        away = math.hypot(from_x, from_y)
+        if away < BELOW:
+            return pose
+        share = self.errors.mean.at(math.hypot(away, height), math.atan2(away, height)) / away
+        return replace(pose, x=pose.x - share * from_x, y=pose.y - share * from_y)
 
     def spread(self, x: float, y: float) -> Matrix:
         """Errors (3, 3) of a pose at a place (m), by those along and across the line of sight and of the heading.
@@ -136,25 +144,34 @@ class CameraModel:
         """
         if self.errors is None:
             return np.eye(3)
-        (along_x, along_y), (along, across, heading) = self._sizes(self.errors, x, y)
+        ((along_x, along_y),), ((along, across, heading),) = self._errors_at(self.errors, np.array([[x, y]]))
         return np.array(
             [[along * along_x, -across * along_y, 0.0], [along * along_y, across * along_x, 0.0], [0.0, 0.0, heading]]
         )
 
     def frames(self, places: Matrix) -> Floats:
         """Inverses (n, 3, 3) of `spread` at places (n, 2): they take errors to those straight below the camera."""
-        return np.linalg.inv(np.array([self.spread(x, y) for x, y in places.tolist()]))
+        frames = np.zeros((len(places), 3, 3))
+        if self.errors is None:
+            frames[:] = np.eye(3)
+            return frames
+        directions, sizes = self._errors_at(self.errors, places)
+        frames[:, 0, :2] = directions / sizes[:, :1]
+        frames[:, 1, 0], frames[:, 1, 1] = -directions[:, 1] / sizes[:, 1], directions[:, 0] / sizes[:, 1]
+        frames[:, 2, 2] = 1.0 / sizes[:, 2]
+        return frames
 
-    def _sizes(self, errors: PoseErrors, x: float, y: float) -> tuple[tuple[float, float], tuple[float, float, float]]:
-        """Direction of the line of sight on the floor; sizes of the errors along it, across it and of the heading."""
-        direction, distance, phi = self._sight(x, y)
-        across = max(LEAST_ACROSS, errors.across.at(distance, phi))
-        return direction, (errors.along.at(distance, phi), across, errors.heading.at(distance, phi))
+    def _errors_at(self, errors: PoseErrors, places: Matrix) -> tuple[Matrix, Matrix]:
+        """Directions (n, 2) of lines of sight on the floor; sizes (n, 3) of errors along, across, and of the heading."""
+        from_camera = places - self.position[:2]
+        away = np.hypot(*from_camera.T)
+        below = away < BELOW
+        directions = np.where(below[:, None], (1.0, 0.0), from_camera / np.where(below, 1.0, away)[:, None])
+        sight = np.hypot(away, self._above), np.arctan2(away, self._above)
+        across = np.maximum(LEAST_ACROSS, errors.across.at_each(*sight))
+        return directions, np.column_stack([errors.along.at_each(*sight), across, errors.heading.at_each(*sight)])
 
-    def _sight(self, x: float, y: float) -> tuple[tuple[float, float], float, float]:
-        """Direction (2,) of the line of sight on the floor, its length (m), and its angle from the vertical (rad)."""
-        from_x, from_y, height = x - self.position[0], y - self.position[1], self.position[2] - self.marker_height
-        away = math.hypot(from_x, from_y)
-        if away < BELOW:
-            return (1.0, 0.0), height, 0.0
-        return (from_x / away, from_y / away), math.hypot(away, height), math.atan2(away, height)
+    @property
+    def _above(self) -> float:
+        """Height of the camera above the marker, m."""
+        return self.position[2] - self.marker_height
