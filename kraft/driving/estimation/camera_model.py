@@ -162,7 +162,7 @@ class CameraModel:
         return frames
 
     def _errors_at(self, errors: PoseErrors, places: Matrix) -> tuple[Matrix, Matrix]:
-        """Directions (n, 2) of lines of sight on the floor; sizes (n, 3) of errors along, across, and of the heading."""
+        """Directions (n, 2) of lines of sight on the floor; sizes (n, 3) of errors along, across and of the heading."""
         from_camera = places - self.position[:2]
         away = np.hypot(*from_camera.T)
         below = away < BELOW
