@@ -103,7 +103,7 @@ class PoseInput(StrictModel):
     tracked_point: TrackedPoint = TrackedPoint()
     """{x, y, heading_deg} of the tracked point on the vehicle"""
     level_camera: bool = False
-    """the poses come from the scenario's camera, with its errors by place, which takes the floor as level"""
+    """the poses come from the scenario's camera: it takes the floor as level, and errs by the place of the marker"""
 
 
 class SpeedCommand(StrictModel):

@@ -23,9 +23,15 @@ CAMERA = CameraModel(POSITION, HEIGHT, errors=SINGLE_TAG)
 PLACES = [(1.0, 3.0), (2.5, 3.0), (1.0, 0.0), (-1.5, 5.0), (4.0, 6.0)]
 
 
+def frames_at(*places: tuple[float, float]) -> Floats:
+    frames = CAMERA.frames(np.array(places))
+    assert frames is not None
+    return frames
+
+
 def errors(x: float, y: float, trials: int = 40, frames: int = 200) -> Floats:
     """Errors (trials, frames, 3) of poses without the known mean of the camera, in its frame at the place (m)."""
-    frame, found = CAMERA.frames(np.array([[x, y]]))[0], []
+    frame, found = frames_at((x, y))[0], []
     for seed in range(trials):
         camera = MarkerCamera(Sensing(camera=POSITION, dropout=0.0, correlation_time=0.0), HEIGHT, seed)
         for k in range(frames):
@@ -49,7 +55,7 @@ def test_errors_in_the_frame_of_a_place_are_those_straight_below_the_camera(x: f
 
 
 def test_frames_undo_the_spread() -> None:
-    frames = CAMERA.frames(np.array(PLACES))
+    frames = frames_at(*PLACES)
     for frame, place in zip(frames, PLACES, strict=True):
         assert frame @ CAMERA.spread(*place) == pytest.approx(np.eye(3))
 
@@ -65,6 +71,7 @@ def test_a_camera_whose_errors_are_the_same_everywhere_changes_nothing() -> None
     camera, pose = CameraModel(POSITION, HEIGHT), Observation(1.0, 1.1, 4.0, 6.0, 0.3)
     assert camera.without_mean(pose) == pose
     assert camera.spread(4.0, 6.0) == pytest.approx(np.eye(3))
+    assert camera.frames(np.array(PLACES)) is None
 
 
 def test_the_mean_error_is_away_from_the_camera() -> None:

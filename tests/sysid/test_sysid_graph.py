@@ -148,6 +148,15 @@ def test_one_step_of_the_fast_graph_is_that_of_the_dense_problem(framed: bool) -
     assert factors.total_information == pytest.approx(information, rel=1e-3, abs=1e-3 * np.abs(information).max())
 
 
+def test_the_paper_graph_weighs_poses_in_the_same_frames() -> None:
+    problem, point = small_problem()
+    problem = replace(problem, frames=frames_of(problem))
+    fast, paper = FastGraph(problem), PaperGraph(problem)
+    for graph in (fast, paper):
+        graph.linearise(point)
+    assert paper.reduce(0.0).total_information == pytest.approx(fast.reduce(0.0).total_information, rel=1e-6, abs=1e-3)
+
+
 def test_reweighted_gradients_are_those_of_the_robust_cost() -> None:
     problem, point = small_problem(robust=1.345)
     assert problem.noise.weights(problem.pose_residuals(point)).min() < 0.5

@@ -396,7 +396,6 @@ class CorrelatedFilter(PoseFilter):
         self._process_model.times[CORRELATED], self._correlated_variance = noise.time, noise.variance * noise.share
         self._independent_variance = noise.variance * (1.0 - noise.share)
         self._set_variance(CORRELATED, self._correlated_variance, noise.time)
-        self._look_at(*self.posterior.mean[self._pose[:2]].tolist())
 
     def _look_at(self, x: float, y: float) -> None:
         """Set the noise of a pose at a place (m), by what the camera has there."""

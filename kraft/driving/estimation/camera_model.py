@@ -149,13 +149,15 @@ class CameraModel:
             [[along * along_x, -across * along_y, 0.0], [along * along_y, across * along_x, 0.0], [0.0, 0.0, heading]]
         )
 
-    def frames(self, places: Matrix) -> Floats:
-        """Inverses (n, 3, 3) of `spread` at places (n, 2): they take errors to those straight below the camera."""
-        frames = np.zeros((len(places), 3, 3))
+    def frames(self, places: Matrix) -> Floats | None:
+        """Inverses (n, 3, 3) of `spread` at places (n, 2): they take errors to those straight below the camera.
+
+        None if errors are the same everywhere.
+        """
         if self.errors is None:
-            frames[:] = np.eye(3)
-            return frames
+            return None
         directions, sizes = self._errors_at(self.errors, places)
+        frames = np.zeros((len(places), 3, 3))
         frames[:, 0, :2] = directions / sizes[:, :1]
         frames[:, 1, 0], frames[:, 1, 1] = -directions[:, 1] / sizes[:, 1], directions[:, 0] / sizes[:, 1]
         frames[:, 2, 2] = 1.0 / sizes[:, 2]
