@@ -25,6 +25,11 @@ INTENDED: Final = 0.2
 It becomes less with the time for which the vehicle stands: one that seems to have a weak drive, because it does not
 move, has plans that hardly intend to move.
 """
+DOUBT: Final = 1.0
+"""Intended speed per standard deviation of the drive's acceleration that a wrong model alone may intend, s.
+
+It is what two standard deviations cause in half a second: a drive that is so uncertain may be too weak to move.
+"""
 GAP: Final = 0.1
 """Distance between the vehicle and what it cannot push, m."""
 DEPTH: Final = 0.2
@@ -52,9 +57,10 @@ class Blockage:
         """Wait twice as long from now on: what was found was nothing that a way leads round, maybe nothing at all."""
         self._patience *= 2.0
 
-    def observe(self, time: float, state: Floats, reference: Reference) -> Blocked | None:
+    def observe(self, time: float, state: Floats, reference: Reference, acceleration: float = 0.0) -> Blocked | None:
         """What blocks a vehicle with an estimated state (nx,) that tracks `reference` at `time` (s), if it is blocked.
 
+        `acceleration` is the standard deviation of that of the drive, m/s^2; see `DOUBT`.
         The obstacle is where the plans led in the mean, ahead or behind.  Where that is nowhere, the vehicle drives to
         and fro in a narrow place.
         """
@@ -65,7 +71,11 @@ class Blockage:
         elif reference.kind is ReferenceKind.PLAN:
             self._on_plan += elapsed
             self._intended += elapsed * self._intended_speed(reference, time)
-        least = max(MOVED[0], INTENDED * self._patience / max(self._on_plan, self._patience))
+        least = max(
+            MOVED[0],
+            INTENDED * self._patience / max(self._on_plan, self._patience),
+            DOUBT * acceleration * self._on_plan,
+        )
         if self._on_plan < self._patience or abs(self._intended) < least:
             return None
         self._place = None

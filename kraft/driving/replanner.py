@@ -230,7 +230,9 @@ class Replanner:
             return None
         leads = self._proposal.plan is not None and self._proposal.plan.reaches_goal
         self._fruitless = 0 if leads else self._fruitless + 1
-        found = self._blockage.observe(estimate.time, estimate.state, current.reference_at(estimate.time))
+        tracked, uncertainty = current.reference_at(estimate.time), estimate.uncertainty
+        acceleration = 0.0 if uncertainty is None else uncertainty.acceleration
+        found = self._blockage.observe(estimate.time, estimate.state, tracked, acceleration)
         if found is not None:
             self._block((*self._blocked, found.obstacle), "the vehicle does not move: something is in the way")
             return found.begin, estimate.time

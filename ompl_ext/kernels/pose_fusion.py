@@ -88,6 +88,20 @@ def _see(camera: Floats, inputs: Floats, seen: Floats, jacobian: Matrix, work: M
     linearise(camera, inputs, seen, jacobian, work)
 
 
+def _see_each(camera: Floats, poses: Matrix, inputs: Floats, seen: Matrix) -> None:
+    for i in range(len(poses)):
+        for k in range(3):
+            inputs[k] = poses[i, k]
+        see(camera, inputs, seen[i])
+
+
+def _linearise_each(camera: Floats, poses: Matrix, inputs: Floats, seen: Matrix, jacobians: Cube, work: Matrix) -> None:
+    for i in range(len(poses)):
+        for k in range(3):
+            inputs[k] = poses[i, k]
+        linearise(camera, inputs, seen[i], jacobians[i], work)
+
+
 @part
 def errors(row: int, column: Floats, sensor: Sensor) -> float:
     """Sum of the errors of a component of the pose in a state (n,)."""
@@ -212,6 +226,8 @@ class PoseFusion:
     """Compiled functions of a Kalman update by a pose; `work` is (6, 5).
 
     `see(camera, inputs, seen, jacobian, work)` is what a camera measures of a pose on a floor, see `linearise`.
+    `see_each(camera, poses, inputs, seen)` and `linearise_each(camera, poses, inputs, seen, jacobians, work)` do the
+    same for poses (n, 3) on the floor that `inputs` (5,) has.
     `expect(mean, covariance, sensor, work, pose, cross, expected)` writes the expected pose (3,), its covariance with
     the state (n, 3), and its covariance without noise (3, 3).
     `whiten(innovation_covariance, innovation, work, whitened)` writes the innovation (3,) in standard deviations.
@@ -223,6 +239,8 @@ class PoseFusion:
     """
 
     see: Callable[[Floats, Floats, Floats, Matrix, Matrix], None]
+    see_each: Callable[[Floats, Matrix, Floats, Matrix], None]
+    linearise_each: Callable[[Floats, Matrix, Floats, Matrix, Cube, Matrix], None]
     expect: Callable[[Floats, Matrix, Sensor, Matrix, Floats, Matrix, Matrix], None]
     whiten: Callable[[Matrix, Floats, Matrix, Floats], None]
     correct: Callable[[Matrix, Matrix, Matrix, Ints, Matrix, Matrix, Matrix], None]
@@ -239,6 +257,8 @@ def pose_fusion() -> PoseFusion:
     nothing, cube = types.void, types.float64[:, :, ::1]
     return PoseFusion(
         compiled(_see, signature=nothing(floats, floats, floats, matrix, matrix)),
+        compiled(_see_each, signature=nothing(floats, matrix, floats, matrix)),
+        compiled(_linearise_each, signature=nothing(floats, matrix, floats, matrix, cube, matrix)),
         compiled(_expect, signature=nothing(floats, matrix, sensor, matrix, floats, matrix, matrix)),
         compiled(_whiten, signature=nothing(matrix, floats, matrix, floats)),
         compiled(_correct, signature=nothing(matrix, matrix, matrix, ints, matrix, matrix, matrix)),

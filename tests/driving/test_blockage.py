@@ -62,6 +62,14 @@ def test_a_vehicle_that_moves_or_turns_is_not_blocked() -> None:
     assert watched(moving, reference()) == watched(turning, reference()) == ()
 
 
+@pytest.mark.parametrize(("uncertain", "blocked"), [(0.4, True), (0.6, False)])
+def test_a_vehicle_whose_drive_may_be_too_weak_is_not_blocked(uncertain: float, blocked: bool) -> None:
+    """Plans intend 0.5 m/s; a standard deviation of 0.6 m/s^2 lets a drive lack that."""
+    subject = Blockage(PATIENCE, mushr())
+    found = [subject.observe(k * CYCLE, STATE, reference(0.5), uncertain) for k in range(20)]
+    assert any(each is not None for each in found) == blocked
+
+
 def test_a_vehicle_that_stands_on_a_contingency_is_not_blocked() -> None:
     assert watched(np.tile(STATE, (20, 1)), reference(kind=ReferenceKind.CONTINGENCY)) == ()
 

@@ -12,8 +12,8 @@ from support.driving import RATE
 
 from kraft.driving.estimation import CameraModel
 from kraft.driving.estimation.adaptive import HOLDS, AdaptiveEstimator, Learned, online_parameters
-from kraft.driving.estimation.pose_filter import ConstantOfDrive
 from kraft.driving.estimation.sliding_window import Drive, Identified
+from kraft.driving.estimation.sloping_floor import SLOPE, ConstantOfDrive, slope_deviations, slope_told
 from kraft.driving.method import Adaptive
 from kraft.driving.vehicle_model import CarModel
 from kraft.scenario import Sensing
@@ -21,11 +21,11 @@ from kraft.scenario.truth import Tilt
 from kraft.simulation.camera import MarkerCamera
 from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.floor_frame import FloorFrame
-from kraft.vehicles import GRAVITY
+from kraft.vehicles import FORCE, GRAVITY, felt_gravity
 from ompl_ext.arrays import Floats
 
 CAMERA = CameraModel((1.0, 3.0, 5.0), MARKER_HEIGHT, (0.0, 0.0))
-EXACT = np.zeros((2, 2))
+SETTINGS = Adaptive(kind="adaptive", compensate=False)
 SLOPES = [np.array([0.0, 0.0]), np.array([0.0, 0.15]), np.array([-0.1, 0.05])]
 
 
@@ -56,9 +56,10 @@ def test_it_measures_what_the_simulated_camera_does(angle: float, uphill: float)
 
 
 @pytest.mark.parametrize("slope", SLOPES)
-def test_the_place_on_the_floor_is_found_again(slope: Floats) -> None:
-    seen = np.array([observed(CAMERA, pose, slope) for pose in poses()])
-    assert CAMERA.on_floor(seen, slope) == pytest.approx(poses(), abs=1e-3)
+def test_many_poses_are_measured_as_each_is(slope: Floats) -> None:
+    each = [CAMERA.linearised(pose, slope) for pose in poses()]
+    assert np.array_equal(CAMERA.seen(poses(), slope), [seen for seen, _ in each])
+    assert np.array_equal(CAMERA.linearised_each(poses(), slope), [jacobian for _, jacobian in each])
 
 
 @pytest.mark.parametrize("slope", SLOPES)
@@ -95,8 +96,7 @@ def camera() -> CameraModel:
 
 
 def subject(known: CameraModel | None) -> AdaptiveEstimator:
-    settings = Adaptive(kind="adaptive", compensate=False)
-    return AdaptiveEstimator(settings, CarModel(vehicle()), BEGIN, known)
+    return AdaptiveEstimator(SETTINGS, CarModel(vehicle()), BEGIN, known)
 
 
 @pytest.mark.parametrize("slope", [np.array([0.0, 0.15]), np.array([0.12, 0.0])])
@@ -125,8 +125,8 @@ def test_a_force_that_changes_during_the_drive_does_not_tilt_the_floor() -> None
     assert estimator.floor == pytest.approx(floor, abs=1e-9)
 
 
-def test_poses_alone_tell_nothing_about_the_floor() -> None:
-    """A camera with an error that grows with the distance looks like a slope; the force tells them apart."""
+def test_a_vehicle_that_stands_tells_nothing_about_the_floor() -> None:
+    """A camera with an error that grows with the distance looks like a slope; the motion tells them apart."""
     estimator = subject(camera())
     for k in range(1, 60):
         estimator.observe(pose_at(k, BEGIN + np.array([0.0, -0.1, 0.0, 0.0]), np.zeros(3)))
@@ -152,7 +152,7 @@ def test_a_floor_is_no_steeper_than_floors_are() -> None:
     subject._filter.set_slope(np.array([3.0, -4.0]), 0.01 * np.eye(2))
     assert np.linalg.norm(subject.floor) == pytest.approx(math.sin(math.radians(40.0)))
     assert subject.floor[0] / subject.floor[1] == pytest.approx(-0.75)
-    assert np.isfinite(CAMERA.on_floor(poses(), subject.floor)).all()
+    assert np.isfinite(CAMERA.seen(poses(), subject.floor)).all()
 
 
 def test_the_force_in_use_is_one_that_the_drive_can_hold() -> None:
@@ -185,7 +185,7 @@ def test_windows_of_a_drive_that_do_not_overlap_are_joined() -> None:
     joined = ConstantOfDrive(std)
     for k, (mean, told) in enumerate(zip(means, information, strict=True)):
         of_window = np.linalg.inv(told + prior)
-        result = joined.update(10.0 * k, 10.0 * k + 9.0, of_window @ (told @ mean), of_window, EXACT)
+        result = joined.update(10.0 * k, 10.0 * k + 9.0, of_window @ (told @ mean), of_window)
     total = np.linalg.inv(sum(information) + prior)
     assert result[1] == pytest.approx(total)
     assert result[0] == pytest.approx(total @ sum(a @ m for a, m in zip(information, means, strict=True)))
@@ -194,25 +194,56 @@ def test_windows_of_a_drive_that_do_not_overlap_are_joined() -> None:
 def test_windows_of_a_drive_that_overlap_count_once() -> None:
     joined, mean, covariance = ConstantOfDrive(np.ones(2)), np.array([0.3, -0.1]), 0.1 * np.eye(2)
     for end in (5.0, 5.0, 6.0):
-        assert joined.update(0.0, end, mean, covariance, EXACT) == (pytest.approx(mean), pytest.approx(covariance))
-    assert np.trace(joined.update(5.5, 12.0, mean, covariance, EXACT)[1]) < 0.15
+        assert joined.update(0.0, end, mean, covariance) == (pytest.approx(mean), pytest.approx(covariance))
+    assert np.trace(joined.update(5.5, 12.0, mean, covariance)[1]) < 0.15
 
 
-def test_an_error_of_a_window_adds_to_the_covariance_of_what_its_data_tell() -> None:
-    std, mean, error = np.array([0.25, 0.5]), np.array([0.3, -0.1]), np.array([[0.2, 0.05], [0.05, 0.4]])
-    of_data, prior = np.array([[0.1, 0.02], [0.02, 0.3]]), np.diag(std**-2)
-    of_window = np.linalg.inv(np.linalg.inv(of_data) + prior)
-    told = np.linalg.inv(of_data + error)
-    found = ConstantOfDrive(std).update(0.0, 9.0, of_window @ np.linalg.solve(of_data, mean), of_window, error)
-    assert found[1] == pytest.approx(np.linalg.inv(told + prior))
-    assert found[0] == pytest.approx(found[1] @ told @ mean)
+def test_the_slope_is_that_of_the_force_up_to_forces_that_pass() -> None:
+    """With the passing force in place of the force, which has the prior of the slope then."""
+    parameters = online_parameters(vehicle(), Adaptive(kind="adaptive"), sloping=True)
+    free, rng = np.flatnonzero(parameters.free), np.random.default_rng(0)
+    root, passing = rng.normal(size=(len(free), len(free))), np.array([[0.3, 0.1], [0.1, 0.2]])
+    of_data, prior = root @ root.T, np.diag(parameters.std[free] ** -2.0)
+    deviation = 0.1 * parameters.std[free] * rng.normal(size=len(free))
+    covariance, mean = np.zeros((len(parameters.std),) * 2), parameters.nominal.copy()
+    covariance[np.ix_(free, free)] = np.linalg.inv(of_data + prior)
+    mean[free] += deviation
+    score = (of_data + prior) @ deviation  # of the data
+
+    names = [parameters.names[k] for k in free]
+    force, slope = ([names.index(name) for name in pair] for pair in (FORCE, SLOPE))
+    into = np.eye(len(free))  # force = passing force - felt gravity slope
+    into[force, slope] = -felt_gravity(vehicle())
+    others = np.diag(prior).copy()
+    others[force] = 0.0
+    information = into.T @ of_data @ into + np.diag(others)
+    information[np.ix_(force, force)] += np.linalg.inv(passing)
+    expected = np.linalg.inv(information)
+
+    found, spread = slope_told(parameters, mean, covariance, passing)
+    assert spread == pytest.approx(expected[np.ix_(slope, slope)], rel=1e-6)
+    assert found == pytest.approx((expected @ into.T @ score)[slope], rel=1e-6)
 
 
-def test_data_that_tell_nothing_leave_the_prior_whatever_their_error() -> None:
-    prior = np.diag([0.25, 0.5]) ** 2
-    mean, covariance = ConstantOfDrive(np.array([0.25, 0.5])).update(0.0, 9.0, np.zeros(2), prior, np.eye(2))
-    assert mean == pytest.approx(np.zeros(2))
-    assert covariance == pytest.approx(prior)
+def test_data_that_tell_nothing_leave_the_prior_of_the_slope() -> None:
+    parameters = online_parameters(vehicle(), Adaptive(kind="adaptive"), sloping=True)
+    prior = np.diag(np.where(parameters.free, parameters.std, 0.0) ** 2)
+    mean, covariance = slope_told(parameters, parameters.nominal, prior, 0.01 * np.eye(2))
+    assert mean == pytest.approx(np.zeros(2), abs=1e-12)
+    assert covariance == pytest.approx(np.diag(slope_deviations(vehicle()) ** 2))
+
+
+@pytest.mark.parametrize("rise", [0.15, -0.15])
+def test_poses_tell_the_slope_along_the_drive_without_the_force(rise: float) -> None:
+    """The vehicle seems to become faster or slower with its place, whatever pushes it."""
+    estimator = subject(camera())
+    uphill(estimator, np.array([0.0, rise]))
+    assert estimator.learned is not None
+    found, parameters = estimator.learned.identified, online_parameters(vehicle(), SETTINGS, sloping=True)
+    told, spread = slope_told(parameters, found.constant, found.constant_covariance, 1e6 * np.eye(2))
+    deviation = math.sqrt(spread[1, 1])
+    assert deviation < 0.75 * slope_deviations(vehicle())[1]
+    assert abs(told[1] - rise) < 2.0 * deviation
 
 
 @pytest.mark.parametrize(("turn", "across", "along"), [(0.1, 1.28, 0.10), (1.5, 0.128, 0.16)])

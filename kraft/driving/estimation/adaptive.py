@@ -22,7 +22,6 @@ from kraft.driving.estimation.pose_filter import (
     ERRORS,
     FLOOR,
     OFFSET,
-    ConstantOfDrive,
     PoseFilter,
     Posterior,
     Prior,
@@ -36,12 +35,20 @@ from kraft.driving.estimation.sliding_window import (
     NoiseEstimate,
     SlidingWindow,
 )
+from kraft.driving.estimation.sloping_floor import (
+    ConstantOfDrive,
+    possible,
+    shows_slope,
+    slope_deviations,
+    slope_specs,
+    slope_told,
+)
 from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
 from kraft.driving.method import RANGES_EXPECTED, Adaptive, Filter, unstated_ranges
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
-from kraft.vehicles import FORCE, STEEPEST, felt_gravity
+from kraft.vehicles import FORCE
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.kernels.pose_fusion import Sensor
 from ompl_ext.vehicle import Vehicle
@@ -118,11 +125,12 @@ class AdaptiveEstimator:
         """
         settings = with_identified_drift(settings, model.vehicle)
         self._settings, self._model = settings, model
-        parameters = online_parameters(model.vehicle, settings)
+        if camera is not None and not shows_slope(model.vehicle):
+            camera = replace(camera, level_at=None)
+        self._sloping = camera is not None and camera.level_at is not None and settings.identify
+        parameters = online_parameters(model.vehicle, settings, sloping=self._sloping)
         self._noise = NoiseEstimate.of(settings)
         self._force = [] if model.vehicle.gravity_share is None else [parameters.index(name) for name in FORCE]
-        if camera is not None and not self._force:  # then no force tells the slope
-            camera = replace(camera, level_at=None)
         self._filter = CorrelatedFilter(settings, model, start_state, camera)
         self._camera = camera
         self._filter.set_noise(self._noise)
@@ -139,7 +147,8 @@ class AdaptiveEstimator:
         self._identified: Identified | None = None
         self.learned: Learned | None = None
         self._history = DriveHistory(start_state, model)
-        self._of_drive = ConstantOfDrive(parameters.std[self._force])
+        if self._sloping:
+            self._slope_of_drive = ConstantOfDrive(slope_deviations(model.vehicle))
         self._delay_index = parameters.index(DELAY)
         self.horizon = 0.0 if self._delay_index < 0 else parameters.specs[self._delay_index].value
         self._filter.set_delay(self.horizon)
@@ -210,8 +219,6 @@ class AdaptiveEstimator:
         drive = self._history.drive(time - DRIVE_MAX)
         if drive is None:
             return
-        if self._camera is not None:
-            drive = replace(drive, poses=self._camera.on_floor(drive.poses, self._filter.floor))
         identified = self._window.update(drive, self._history.moving, partial(self._noise.of_one_pose, drive.interval))
         if identified is not None:
             self.learn(Learned.of(identified, drive))
@@ -223,7 +230,8 @@ class AdaptiveEstimator:
         self._noise = self._noise.updated(identified, learned.interval)
         self._filter.set_noise(self._noise)
         self._filter.set_parameter_spread(self._covariance_of(identified))
-        self._set_slope(learned)
+        if self._sloping:
+            self._set_slope(learned)
         if self._settings.identify:
             self._use_parameters(identified)
         if self._delay_index >= 0:
@@ -283,18 +291,16 @@ class AdaptiveEstimator:
         return identified.covariance[:size, :size]
 
     def _set_slope(self, learned: Learned) -> None:
-        """Take the identified force as the effect of the floor's slope, apart from forces that come and go.
+        """Take the slope of the floor as what force and poses tell of it.
 
         The floor stays as it is: a force that has changed has another cause, such as a box that the vehicle pushes.  So
         what the drive showed before the window counts as well.
         """
-        if self._camera is None or self._camera.level_at is None or not self._settings.identify:
-            return
-        felt, force, identified = felt_gravity(self._model.vehicle), self._force, learned.identified
-        of_window = identified.constant[force], identified.constant_covariance[np.ix_(force, force)]
-        begin, end = float(identified.times[0]), float(identified.times[-1])
-        mean, covariance = self._of_drive.update(begin, end, *of_window, learned.passing_force)
-        slope, covariance = _possible(-mean / felt), covariance / felt**2
+        found = learned.identified
+        begin, end = float(found.times[0]), float(found.times[-1])
+        told = slope_told(self._window.parameters, found.constant, found.constant_covariance, learned.passing_force)
+        mean, covariance = self._slope_of_drive.update(begin, end, *told)
+        slope = possible(mean)
         error = GRAVITY_SHARE_ERROR * float(np.linalg.norm(slope))
         self._filter.set_slope(slope, covariance + error**2 * np.eye(2))
 
@@ -304,13 +310,10 @@ def stated_spread(vehicle: Vehicle) -> Matrix:
     return np.diag([vehicle.ranges[name].std for name in vehicle.parameters])
 
 
-def slope_deviations(vehicle: Vehicle) -> Floats:
-    """Standard deviations (2,) of the floor's slope by the ranges of the force."""
-    return np.array([vehicle.ranges[name].std for name in FORCE]) / felt_gravity(vehicle)
+def online_parameters(vehicle: Vehicle, settings: Adaptive, sloping: bool = False) -> Parameters:
+    """Parameters of the model, the delay, and the slope of a `sloping` floor, with their priors.
 
-
-def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
-    """Parameters of the model and the delay, with their priors; those are frozen that are known or not identified.
+    Those are frozen that are known or not identified.
 
     Raises:
         InputError: if the vehicle states no range of a parameter.
@@ -327,12 +330,9 @@ def online_parameters(vehicle: Vehicle, settings: Adaptive) -> Parameters:
     if settings.compensate:
         delay, std = vehicle.delay or (0.0, settings.delay_std)
         specs.append(ParameterSpec(DELAY, delay, 0.0, DELAY_MAX, std, "s", ""))
+    if sloping:
+        specs += slope_specs(vehicle)
     return Parameters(vehicle, tuple(specs), frozen)
-
-
-def _possible(slope: Floats) -> Floats:
-    """Slope of a floor (2,), at most `STEEPEST`, in the direction of an estimated one."""
-    return slope * min(1.0, STEEPEST / max(float(np.linalg.norm(slope)), 1e-9))
 
 
 class CorrelatedFilter(PoseFilter):
@@ -340,9 +340,8 @@ class CorrelatedFilter(PoseFilter):
 
     Correlated errors are those that a known camera would have straight below it, along and across its line of sight.
     The offset is that of the camera at the place of the vehicle.  Only the start, which is known, tells about it.  The
-    last components are the floor, by which a camera that takes it as level is wrong.  Poses do not correct it: errors
-    of the camera are not taken for slopes.  Its uncertainty is part of all covariances; only the identified force tells
-    about it.
+    last components are the floor, by which a camera that takes it as level is wrong.  Single poses do not
+    correct it; what the identification tells replaces it.  Its uncertainty is part of all covariances.
     """
 
     def __init__(
@@ -373,7 +372,7 @@ class CorrelatedFilter(PoseFilter):
     @property
     def floor(self) -> Floats:
         """Estimated slope (2,) of the floor, see `CameraModel`, at most `STEEPEST`."""
-        return _possible(self.posterior.mean[self._part(FLOOR)])
+        return possible(self.posterior.mean[self._part(FLOOR)])
 
     def set_slope(self, slope: Floats, covariance: Matrix) -> None:
         """Replace the estimate of the floor's slope by (2,) and its covariance (2, 2), and all that depends on it."""

@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 
 from kraft.driving.messages import Observation
-from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.kernels.pose_fusion import HALF_LENGTH, INPUTS, pose_fusion
+from ompl_ext.arrays import Cube, Floats, Matrix
+from ompl_ext.kernels.pose_fusion import INPUTS, pose_fusion
 
 LEAST_ACROSS: Final = 0.25
 """Size of the errors across the line of sight, at least, as a share of that straight below the camera."""
@@ -102,29 +102,18 @@ class CameraModel:
             return np.zeros(0)
         return np.array([*self.position, self.marker_height, *self.level_at], dtype=np.float64)
 
-    def on_floor(self, poses: Matrix, floor: Floats) -> Matrix:
-        """Poses (n, 3) on a floor (2,), given those (n, 3) that were measured; a heading stays within half a turn."""
-        if self.level_at is None:
-            return poses
-        along = HALF_LENGTH * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
-        front, rear = (self._place_on_floor(poses[:, :2] + s * along, floor, self.level_at) for s in (1.0, -1.0))
-        turned = np.arctan2(*(front - rear).T[::-1]) - poses[:, 2]
-        turned -= math.tau * np.round(turned / math.tau)
-        return np.column_stack([0.5 * (front + rear), poses[:, 2] + turned])
+    def seen(self, poses: Matrix, floor: Floats) -> Matrix:
+        """Measured poses (n, 3) of poses (n, 3) on a floor (2,)."""
+        seen = np.empty_like(poses)
+        pose_fusion().see_each(self.values, poses, np.concatenate([np.zeros(3), floor]), seen)
+        return seen
 
-    def _place_on_floor(self, seen: Matrix, floor: Floats, level_at: tuple[float, float]) -> Matrix:
-        """Places (n, 2) of the vehicle for measured ones: where the line of sight meets the plane of the marker."""
-        x, y, z = self.position
-        slope, level = floor, math.sqrt(max(1.0 - float(floor @ floor), 0.0))
-        # The marker is at `camera` + share (seen - camera), at the height z - share (z - marker_height).
-        direction = seen - (x, y)
-        away = np.array([x, y]) - level_at + self.marker_height * slope
-        above = z - self.marker_height * level - slope @ away / level
-        share = above / (z - self.marker_height + direction @ slope / level)
-        marker = (x, y) + share[:, None] * direction - level_at + self.marker_height * slope
-        rise = marker @ slope / level
-        place: Matrix = level_at + marker + (rise / (1.0 + level))[:, None] * slope
-        return place
+    def linearised_each(self, poses: Matrix, floor: Floats) -> Cube:
+        """Jacobians (n, 3, 5) of measured poses with respect to the poses (n, 3) and the floor (2,)."""
+        seen, jacobians = np.empty_like(poses), np.empty((*poses.shape, INPUTS))
+        inputs, work = np.concatenate([np.zeros(3), floor]), np.empty((2, INPUTS))
+        pose_fusion().linearise_each(self.values, poses, inputs, seen, jacobians, work)
+        return jacobians
 
     def without_mean(self, pose: Observation) -> Observation:
         """A measured pose without the mean error."""

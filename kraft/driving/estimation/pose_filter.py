@@ -278,43 +278,6 @@ def _chi_limit(confidence: float) -> float:
     return math.sqrt(2.0 * float(gammaincinv(1.5, confidence)))
 
 
-class ConstantOfDrive:
-    """Estimate of something that is the same in the whole drive, from windows that follow each other without overlap.
-
-    Each window has the same prior, with mean 0.  What an update joins is the window and the result of the last update
-    that ended before it, without the prior that both have.  What the data of a window tell may have an error that the
-    covariance of the window does not include, because its model does not.
-    """
-
-    def __init__(self, std: Floats) -> None:
-        """`std` (n,) are the standard deviations of the prior."""
-        self._prior = np.diag(std**-2.0)
-        self._results: list[tuple[float, Matrix, Floats]] = []
-
-    def update(
-        self, begin: float, end: float, mean: Floats, covariance: Matrix, error: Matrix
-    ) -> tuple[Floats, Matrix]:
-        """Mean (n,) and covariance (n, n) after a window from `begin` to `end` (s) with its own mean and covariance.
-
-        `error` (n, n) is the covariance of an error of what its data tell.
-        """
-        total = np.asarray(np.linalg.inv(covariance), dtype=float)
-        of_data = total - self._prior
-        # data with the covariance C = of_data^-1, which may not exist, now have C + error
-        left: Matrix = np.asarray(np.linalg.inv(np.eye(len(mean)) + of_data @ error), dtype=float)
-        information, score = self._prior + left @ of_data, left @ (total @ mean)
-        before = sum(result[0] <= begin for result in self._results)
-        if before > 0:
-            _, earlier, earlier_score = self._results[before - 1]
-            information, score = information + earlier - self._prior, score + earlier_score
-            del self._results[: before - 1]
-        if self._results and self._results[-1][0] >= end:  # the vehicle stands
-            self._results.pop()
-        self._results.append((end, information, score))
-        joined = np.asarray(np.linalg.inv(information), dtype=float)
-        return joined @ score, joined
-
-
 CORRELATED, OFFSET, FLOOR = slice(0, 3), slice(3, 6), slice(6, 6 + FLOOR_SIZE)
 """Parts of the pose error, and the floor that it depends on, within the last components of the filter's state."""
 ERRORS: Final = FLOOR.stop

@@ -17,6 +17,7 @@ import numpy as np
 
 from kraft.driving.estimation.camera_model import CameraModel
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
+from kraft.driving.estimation.sloping_floor import SLOPE, SlopingObservation
 from kraft.driving.messages import Observation
 from kraft.driving.method import Adaptive
 from kraft.driving.vehicle_model import VehicleModel
@@ -239,7 +240,8 @@ class SlidingWindow:
             control: (nu,) standard deviation of the applied control from the command.
             iterations: largest number of iterations of an update, which begins at the last one's result.
             turning: (np,) whether a parameter acts on turning alone, see `VehicleModel.acts_on_turning`.
-            camera: that the poses come from, if it is known; the noise of poses is then that straight below it.
+            camera: that the poses come from, if it is known; the noise of poses is then that straight below it.  It
+                takes the floor as level if rho has a slope.
         """
         self.parameters = parameters
         self._length, self._step, self._iterations = length, step, iterations
@@ -248,6 +250,8 @@ class SlidingWindow:
         of_model = np.arange(len(parameters.specs)) < parameters.model_size
         self._may_change = parameters.free & of_model & [spec.unit != "m" for spec in parameters.specs]
         self._turning, self._camera = turning, camera
+        sloping = parameters.auxiliary_index(SLOPE[0]) >= 0
+        self._observation = SlopingObservation(parameters, camera) if camera is not None and sloping else None
         self._changed_at: float | None = None
 
     def set_std(self, k: int, std: float) -> None:
@@ -274,6 +278,8 @@ class SlidingWindow:
         problem = assemble(segments, 1, self.parameters, self._noise_model(noise(math.inf)))
         if self._camera is not None:
             problem = replace(problem, frames=self._camera.frames(problem.chains.poses[:, :2]))
+        if self._observation is not None:
+            problem = replace(problem, observation=self._observation)
         graph = FastGraph(problem)
         optimum = optimise(graph, self._start(problem, drive), self._iterations)
         self.rho = optimum.point.rho
