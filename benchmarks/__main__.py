@@ -33,6 +33,7 @@ TOPICS = (
     "drive",
     "theorem",
     "estimated",
+    "estimates",
     "changes",
     "arenas",
     "worlds",
@@ -48,7 +49,7 @@ TOPICS = (
     "endurance",
 )
 NEEDS_OUT = ("peers",)
-CHOSEN = ("estimated", "changes", "arenas", "worlds", "headings")
+CHOSEN = ("estimated", "estimates", "changes", "arenas", "worlds", "headings")
 """Topics that drive with a method of one's choice."""
 
 

@@ -22,6 +22,7 @@ class Effort:
         jobs: processes that share the random scenes and trials; everything else runs alone.
         changes: trials with each change of the true car.
         estimated: drives in the test of Theorem 1 with an estimated deviation.
+        estimates: drives in each kind of world in which the estimates are compared with the truth.
         arenas: random arenas and rooms of posts that are driven in.
         worlds: rooms of posts and tracks that fast robots drive in.
         headings: directions in which each scene's goal is arrived at.
@@ -45,6 +46,7 @@ class Effort:
     jobs: int
     changes: int
     estimated: int
+    estimates: int
     arenas: int
     worlds: int
     headings: int
@@ -69,6 +71,7 @@ FULL = Effort(
     jobs=2,
     changes=100,
     estimated=10_000,
+    estimates=40,
     arenas=100,
     worlds=120,
     headings=30,
@@ -90,6 +93,7 @@ QUICK = Effort(
     jobs=2,
     changes=4,
     estimated=40,
+    estimates=3,
     arenas=4,
     worlds=12,
     headings=2,
@@ -110,6 +114,7 @@ SMOKE = Effort(
     jobs=1,
     changes=1,
     estimated=2,
+    estimates=1,
     arenas=1,
     worlds=1,
     headings=1,

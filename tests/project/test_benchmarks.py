@@ -23,6 +23,7 @@ from benchmarks import (
     commands,
     disturbances,
     estimated,
+    estimates,
     experiment,
     goals,
     headings,
@@ -384,6 +385,15 @@ def test_episodes_compare_the_true_motion_with_the_bound() -> None:
     assert quantities(table)["episodes"] == SMOKE.estimated
     repeated = estimated.episode(0, SMOKE.method)
     assert replace(repeated, seconds=0.0) == replace(episodes[0], seconds=0.0)
+
+
+def test_estimates_are_compared_with_the_truth_at_their_own_time() -> None:
+    """The oracle knows pose and speed; the speed here is a difference quotient of the true poses."""
+    slip = estimates.KINDS.index("slip")
+    known, estimated_errors = (estimates.drive(slip, name).values for name in ("oracle", SMOKE.method))
+    assert np.abs(known[:, :3]).max() < 1e-6
+    assert np.sqrt(np.mean(known[:, 3] ** 2)) < 0.02
+    assert 0.003 < np.sqrt(np.mean(estimated_errors[:, :2] ** 2)) < 0.1
 
 
 def test_headings_lie_all_round_and_later_ones_between_them() -> None:
