@@ -14,6 +14,7 @@ from benchmarks.random_arenas import Kind, random_arena
 from benchmarks.report import Report, Row, Target, number, row
 from kraft.driving.method import load_method
 from kraft.evaluation.statistics import while_driving
+from kraft.scenario import Scenario
 from kraft.trial.result import Outcome, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
@@ -55,11 +56,15 @@ def run(effort: Effort) -> Report:
     return Report("arenas", rows_of(drives), {"by kind": table}, notes)
 
 
+def arena(k: int) -> tuple[str, Scenario]:
+    """Kind of scenario `k`, and the scenario; kinds take turns."""
+    label = list(KINDS)[k % len(KINDS)]
+    return label, random_arena(k, *KINDS[label])
+
+
 def drive(k: int, name: str) -> Drive:
     """Drive in scenario `k`."""
-    label = list(KINDS)[k % len(KINDS)]
-    kind, gap = KINDS[label]
-    scenario, method = random_arena(k, kind, gap), load_method(name)
+    (label, scenario), method = arena(k), load_method(name)
     vehicle = load_vehicle(method.planner.vehicle or scenario.vehicle)
     result = run_trial(TrialSpec(scenario, method, vehicle, k))
     return Drive(

@@ -13,14 +13,13 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.arenas import KINDS as ARENAS
+from benchmarks.arenas import arena
 from benchmarks.effort import Effort
 from benchmarks.estimated import episode_parts
 from benchmarks.parallel import each, planning_vehicle
-from benchmarks.random_arenas import random_arena
 from benchmarks.report import Report, row
 from kraft.driving.method import load_method
-from kraft.scenario import Scenario, load_scenario
+from kraft.scenario import load_scenario
 from kraft.simulation.true_world import ModelWorld
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
@@ -70,17 +69,12 @@ def drive(number: int, name: str) -> Errors:
     k, kind = number // len(KINDS), KINDS[number % len(KINDS)]
     if kind == CARS:
         spec, true = episode_parts(FIRST_CAR + k, name)
-        return Errors(kind, errors_of(run_trial(spec, world=ModelWorld(spec.scenario, true, {}, k)), spec.vehicle))
-    scenario, method = _scenario(kind, k), load_method(name)
+        world = ModelWorld(spec.scenario, true, {}, spec.seed)
+        return Errors(kind, errors_of(run_trial(spec, world=world), spec.vehicle))
+    scenario = arena(FIRST_ARENA + k)[1] if kind == ROOMS else load_scenario(kind, {})
+    method = load_method(name)
     vehicle = load_vehicle(method.planner.vehicle or scenario.vehicle)
     return Errors(kind, errors_of(run_trial(TrialSpec(scenario, method, vehicle, k)), vehicle))
-
-
-def _scenario(kind: str, k: int) -> Scenario:
-    if kind != ROOMS:
-        return load_scenario(kind, {})
-    number = FIRST_ARENA + k
-    return random_arena(number, *ARENAS[list(ARENAS)[number % len(ARENAS)]])
 
 
 def errors_of(result: TrialResult, vehicle: Vehicle) -> Matrix:
