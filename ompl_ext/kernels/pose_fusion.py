@@ -84,10 +84,6 @@ def linearise(camera: Floats, inputs: Floats, seen: Floats, jacobian: Matrix, wo
             jacobian[row, k] = (work[0, row] - work[1, row]) / (2.0 * DIFFERENCE)
 
 
-def _see(camera: Floats, inputs: Floats, seen: Floats, jacobian: Matrix, work: Matrix) -> None:
-    linearise(camera, inputs, seen, jacobian, work)
-
-
 def _see_each(camera: Floats, poses: Matrix, inputs: Floats, seen: Matrix) -> None:
     for i in range(len(poses)):
         for k in range(3):
@@ -225,9 +221,8 @@ def _replace(means: Matrix, covariances: Cube, known: Ints, values: Floats, spre
 class PoseFusion:
     """Compiled functions of a Kalman update by a pose; `work` is (6, 5).
 
-    `see(camera, inputs, seen, jacobian, work)` is what a camera measures of a pose on a floor, see `linearise`.
-    `see_each(camera, poses, inputs, seen)` and `linearise_each(camera, poses, inputs, seen, jacobians, work)` do the
-    same for poses (n, 3) on the floor that `inputs` (5,) has.
+    `see(camera, poses, inputs, seen)` and `linearise(camera, poses, inputs, seen, jacobians, work)` are what a camera
+    measures of poses (n, 3) on the floor that `inputs` (5,) has, and its derivatives.
     `expect(mean, covariance, sensor, work, pose, cross, expected)` writes the expected pose (3,), its covariance with
     the state (n, 3), and its covariance without noise (3, 3).
     `whiten(innovation_covariance, innovation, work, whitened)` writes the innovation (3,) in standard deviations.
@@ -238,9 +233,8 @@ class PoseFusion:
     `replace_in`.
     """
 
-    see: Callable[[Floats, Floats, Floats, Matrix, Matrix], None]
-    see_each: Callable[[Floats, Matrix, Floats, Matrix], None]
-    linearise_each: Callable[[Floats, Matrix, Floats, Matrix, Cube, Matrix], None]
+    see: Callable[[Floats, Matrix, Floats, Matrix], None]
+    linearise: Callable[[Floats, Matrix, Floats, Matrix, Cube, Matrix], None]
     expect: Callable[[Floats, Matrix, Sensor, Matrix, Floats, Matrix, Matrix], None]
     whiten: Callable[[Matrix, Floats, Matrix, Floats], None]
     correct: Callable[[Matrix, Matrix, Matrix, Ints, Matrix, Matrix, Matrix], None]
@@ -256,7 +250,6 @@ def pose_fusion() -> PoseFusion:
     sensor, floats, ints, matrix = numba_type(Sensor), types.float64[::1], types.int64[::1], types.float64[:, ::1]
     nothing, cube = types.void, types.float64[:, :, ::1]
     return PoseFusion(
-        compiled(_see, signature=nothing(floats, floats, floats, matrix, matrix)),
         compiled(_see_each, signature=nothing(floats, matrix, floats, matrix)),
         compiled(_linearise_each, signature=nothing(floats, matrix, floats, matrix, cube, matrix)),
         compiled(_expect, signature=nothing(floats, matrix, sensor, matrix, floats, matrix, matrix)),

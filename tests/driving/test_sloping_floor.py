@@ -37,7 +37,7 @@ def poses(count: int = 20) -> Floats:
 
 def observed(camera: CameraModel, pose: Floats, slope: Floats) -> Floats:
     """Pose (3,) that a camera measures of a pose (3,) on a floor with `slope` (2,)."""
-    return camera.linearised(pose, slope)[0]
+    return camera.seen(pose[None], slope)[0]
 
 
 @pytest.mark.parametrize(("angle", "uphill"), [(9.0, 90.0), (7.0, -90.0), (5.0, 30.0)])
@@ -57,15 +57,17 @@ def test_it_measures_what_the_simulated_camera_does(angle: float, uphill: float)
 
 @pytest.mark.parametrize("slope", SLOPES)
 def test_many_poses_are_measured_as_each_is(slope: Floats) -> None:
-    each = [CAMERA.linearised(pose, slope) for pose in poses()]
-    assert np.array_equal(CAMERA.seen(poses(), slope), [seen for seen, _ in each])
-    assert np.array_equal(CAMERA.linearised_each(poses(), slope), [jacobian for _, jacobian in each])
+    each = [CAMERA.linearised(pose[None], slope) for pose in poses()]
+    together, jacobians = CAMERA.linearised(poses(), slope)
+    for found in (together, CAMERA.seen(poses(), slope)):
+        assert np.array_equal(found, [seen for (seen,), _ in each])
+    assert np.array_equal(jacobians, [jacobian for _, (jacobian,) in each])
 
 
 @pytest.mark.parametrize("slope", SLOPES)
 def test_the_jacobian_is_that_of_what_is_measured(slope: Floats) -> None:
     for pose in poses(5):
-        seen, jacobian = CAMERA.linearised(pose, slope)
+        (seen,), (jacobian,) = CAMERA.linearised(pose[None], slope)
         assert seen == pytest.approx(observed(CAMERA, pose, slope))
         for k, step in enumerate(1e-3 * np.eye(5)):
             ahead = observed(CAMERA, pose + step[:3], slope + step[3:])

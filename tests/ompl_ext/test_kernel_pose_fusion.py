@@ -52,7 +52,8 @@ def test_errors_add_to_the_pose_the_first_ones_in_their_own_directions_and_units
 def test_a_level_floor_is_seen_as_it_is() -> None:
     seen, jacobian = np.empty(3), np.empty((3, INPUTS))
     pose = np.array([2.0, -1.0, 3.5])
-    pose_fusion().see(CAMERA, np.concatenate([pose, np.zeros(2)]), seen, jacobian, np.empty((2, INPUTS)))
+    inputs, work = np.zeros(INPUTS), np.empty((2, INPUTS))
+    pose_fusion().linearise(CAMERA, pose[None], inputs, seen[None], jacobian[None], work)
     assert seen == pytest.approx(pose)
     assert jacobian[:, :3] == pytest.approx(np.eye(3), abs=1e-8)
     assert np.abs(jacobian[:2, 3:]).max() > 0.1

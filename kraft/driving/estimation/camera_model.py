@@ -89,12 +89,6 @@ class CameraModel:
     level_at: tuple[float, float] | None = None
     errors: PoseErrors | None = None
 
-    def linearised(self, pose: Floats, floor: Floats) -> tuple[Floats, Matrix]:
-        """Measured pose (3,), and its Jacobian (3, 5) with respect to the pose and the floor."""
-        seen, jacobian = np.empty(3), np.empty((3, INPUTS))
-        pose_fusion().see(self.values, np.concatenate([pose, floor]), seen, jacobian, np.empty((2, INPUTS)))
-        return seen, jacobian
-
     @property
     def values(self) -> Floats:
         """(6,) that compiled code reads, see `ompl_ext.kernels.pose_fusion`; none if the camera measures heights."""
@@ -105,15 +99,15 @@ class CameraModel:
     def seen(self, poses: Matrix, floor: Floats) -> Matrix:
         """Measured poses (n, 3) of poses (n, 3) on a floor (2,)."""
         seen = np.empty_like(poses)
-        pose_fusion().see_each(self.values, poses, np.concatenate([np.zeros(3), floor]), seen)
+        pose_fusion().see(self.values, poses, np.concatenate([np.zeros(3), floor]), seen)
         return seen
 
-    def linearised_each(self, poses: Matrix, floor: Floats) -> Cube:
-        """Jacobians (n, 3, 5) of measured poses with respect to the poses (n, 3) and the floor (2,)."""
+    def linearised(self, poses: Matrix, floor: Floats) -> tuple[Matrix, Cube]:
+        """Measured poses (n, 3), and their Jacobians (n, 3, 5) with respect to the poses (n, 3) and the floor (2,)."""
         seen, jacobians = np.empty_like(poses), np.empty((*poses.shape, INPUTS))
         inputs, work = np.concatenate([np.zeros(3), floor]), np.empty((2, INPUTS))
-        pose_fusion().linearise_each(self.values, poses, inputs, seen, jacobians, work)
-        return jacobians
+        pose_fusion().linearise(self.values, poses, inputs, seen, jacobians, work)
+        return seen, jacobians
 
     def without_mean(self, pose: Observation) -> Observation:
         """A measured pose without the mean error."""

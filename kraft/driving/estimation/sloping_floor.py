@@ -63,7 +63,7 @@ class SlopingObservation(Observation):
 
     def linearise(self, states: Matrix, rho: Floats) -> tuple[Floats, Floats]:
         """Derivatives of the poses by state (n, 3, nx) and by rho (n, 3, np)."""
-        jacobians = self._camera.linearised_each(super().predict(states, rho), rho[self._slope])
+        _, jacobians = self._camera.linearised(super().predict(states, rho), rho[self._slope])
         by_state, by_rho = np.zeros((len(states), 3, states.shape[1])), np.zeros((len(states), 3, len(rho)))
         by_state[:, :, self._pose], by_rho[:, :, self._slope] = jacobians[:, :, :3], jacobians[:, :, 3:]
         return by_state, by_rho
