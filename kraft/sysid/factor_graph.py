@@ -59,14 +59,14 @@ class FastGraph:
         """Cost of a point."""
         return self.problem.cost(point)
 
-    def linearise(self, point: Point) -> None:
-        """Linearise all factors at a point."""
+    def linearise(self, point: Point) -> float:
+        """Linearise all factors at a point; returns its cost."""
         p, chains, noise = self.problem, self.problem.chains, self.problem.noise
         x = point.states[chains.state]
         led, jacobian = p.dynamics.linearise(x, point.controls, point.rho, chains.h)
         mean, slopes = p.actuators.mean(point.rho)
         residuals, (by_state, by_rho) = p.pose_residuals(point), p.linearised_poses(point)
-        self._point = point
+        self.point = point
         self._graph = Graph(
             first=chains.first,
             log=chains.log,
@@ -85,19 +85,20 @@ class FastGraph:
             process=noise.process**2,
             control_variance=noise.control**2,
         )
+        return p.cost_of(self._graph.dynamics, self._graph.control, residuals, point.rho)
 
     def reduce(self, damping: float) -> RhoFactors:
         """Eliminate controls and states; `damping` raises the information of the states by that share."""
         eliminate(self._graph, damping, self._out)
         information, gradient = self._out.information.copy(), self._out.gradient.copy()
-        return RhoFactors.with_priors(information, gradient, self.problem, self._point.rho)
+        return RhoFactors.with_priors(information, gradient, self.problem, self.point.rho)
 
     def information_with(self, effects: Floats) -> Floats:
         """Information (logs, np + m, np + m) on rho and on m errors of the controls.
 
         `effects` (N, nu, m) are those of the errors on the controls of each step.
         """
-        size, m = len(self._point.rho), effects.shape[2]
+        size, m = len(self.point.rho), effects.shape[2]
         none = np.zeros((len(self._graph.pose), 3, m))
         graph = self._graph._replace(
             command=np.concatenate([self._graph.command, effects], axis=2),
@@ -116,7 +117,7 @@ class FastGraph:
         times = [segment.times for segment in chains.segments]
         c = sum(float(each[-2]) < begin for each in times)  # chains that end before
         if c == len(times):
-            return MotionFactor(0, np.zeros_like(self._point.rho), np.zeros(2 * self._point.rho.shape))
+            return MotionFactor(0, np.zeros_like(self.point.rho), np.zeros(2 * self.point.rho.shape))
         state = int(chains.first[c] + np.searchsorted(times[c], begin))
         step = state - c  # each chain before has one state more than steps
         pose = int(chains.seen[step])
@@ -129,7 +130,7 @@ class FastGraph:
             pose=residuals, pose_state=graph.pose_state[pose:], pose_rho=graph.pose_rho[pose:],
             weight=noise.weights(residuals), pose_information=noise.pose_sigmas**-2.0,
         )  # fmt: skip
-        out = allocate(len(newest.h), int(newest.first[-1]), 1, self.problem.dynamics.nx, len(self._point.rho))
+        out = allocate(len(newest.h), int(newest.first[-1]), 1, self.problem.dynamics.nx, len(self.point.rho))
         eliminate(newest, 0.0, out)
         return MotionFactor(len(residuals), out.gradient[0], out.information[0])
 
@@ -138,11 +139,11 @@ class FastGraph:
 
         The deviations of controls from commands are kept, not the controls: commands are not linear in a delay.
         """
-        states, deviations = np.empty_like(self._point.states), np.empty_like(self._point.controls)
+        states, deviations = np.empty_like(self.point.states), np.empty_like(self.point.controls)
         back_substitute(self._graph, self._out, change, states, deviations)
-        rho = self.problem.parameters.within_bounds(self._point.rho + change)
+        rho = self.problem.parameters.within_bounds(self.point.rho + change)
         controls = self.problem.actuators.mean(rho)[0] + self._graph.control + deviations
-        return Point(self._point.states + states, controls, rho)
+        return Point(self.point.states + states, controls, rho)
 
 
 def ensure_compiled(vehicle: Vehicle, reference: str, info: Callable[[str], None]) -> None:
@@ -201,11 +202,12 @@ class PaperGraph:
         priors = 0.5 * float(np.sum(self.problem.prior_residuals(point.rho) ** 2))
         return priors + sum(graph.error(values) for graph in self._graphs)
 
-    def linearise(self, point: Point) -> None:
-        """Linearise all factors at a point."""
-        self._point = point
+    def linearise(self, point: Point) -> float:
+        """Linearise all factors at a point; returns its cost."""
+        self.point = point
         values = self._values(point)
         self._linear = [graph.linearize(values) for graph in self._graphs]
+        return self.cost(point)
 
     def reduce(self, damping: float) -> RhoFactors:
         """Eliminate controls and states of each log; `damping` is not used, only rho is damped later."""
@@ -218,13 +220,13 @@ class PaperGraph:
             matrix, vector = rest.hessian()
             information[log], gradient[log] = matrix, -vector
             self._nets.append(net)
-        return RhoFactors.with_priors(information, gradient, self.problem, self._point.rho)
+        return RhoFactors.with_priors(information, gradient, self.problem, self.point.rho)
 
     def moved(self, change: Floats) -> Point:
         """The point that minimises the linearised problem among those whose rho changes by `change`."""
         given = gtsam.VectorValues()
         given.insert(RHO, change)
-        states, controls = self._point.states.copy(), self._point.controls.copy()
+        states, controls = self.point.states.copy(), self.point.controls.copy()
         chains = self.problem.chains
         solutions = [net.optimize(given) for net in self._nets]
         for c, log in enumerate(chains.log):
@@ -232,9 +234,9 @@ class PaperGraph:
                 states[s] += solutions[log].at(_x(s))
                 if s < chains.first[c + 1] - 1:
                     controls[s - c] += solutions[log].at(_u(s - c))
-        rho = self.problem.parameters.within_bounds(self._point.rho + change)
+        rho = self.problem.parameters.within_bounds(self.point.rho + change)
         mean = self.problem.actuators.mean
-        before, slopes = mean(self._point.rho)
+        before, slopes = mean(self.point.rho)
         bend = mean(rho)[0] - before - slopes @ change  # commands are not linear in a delay
         return Point(states, controls + bend, rho)
 

@@ -56,12 +56,14 @@ class LinearisedGraph(Protocol):
     """Interface of the two forms of the factor graph."""
 
     problem: Problem
+    point: Point
+    """of the last linearisation"""
 
     def cost(self, point: Point) -> float:
         """Cost of a point."""
 
-    def linearise(self, point: Point) -> None:
-        """Linearise all factors at a point."""
+    def linearise(self, point: Point) -> float:
+        """Linearise all factors at a point; returns its cost."""
 
     def reduce(self, damping: float) -> RhoFactors:
         """Eliminate all but rho."""
@@ -90,9 +92,8 @@ def optimise(graph: LinearisedGraph, start: Point, most: int, on_iteration: OnIt
     """Minimise the cost within the bounds of the parameters, in at most `most` iterations."""
     problem = graph.problem
     low, high, free = problem.parameters.low, problem.parameters.high, problem.parameters.free
-    point, cost = start, graph.cost(start)
+    point, cost = start, graph.linearise(start)
     damping, converged, iterations, settled = DAMPING_INITIAL, False, 0, 0
-    graph.linearise(point)
     while iterations < most and not converged and damping < DAMPING_MAX:
         factors = graph.reduce(damping)
         change = bounded_step(factors, damping, low - point.rho, high - point.rho, free)
@@ -110,21 +111,24 @@ def optimise(graph: LinearisedGraph, start: Point, most: int, on_iteration: OnIt
             point, cost, damping = candidate, lower, max(0.1 * damping, DAMPING_MIN)
         else:
             damping *= 10.0
+        if point is not graph.point:
+            graph.linearise(point)
         on_iteration(iterations, cost)
-        graph.linearise(point)
     return Optimum(point, cost, converged, iterations, graph.reduce(0.0))
 
 
 def _relaxed(graph: LinearisedGraph, candidate: Point, cost: float) -> tuple[Point, float]:
-    """A candidate and its cost; if the cost is too high, after states and controls are relaxed with rho fixed."""
-    lower = graph.cost(candidate)
+    """A candidate and its cost; if the cost is too high, after states and controls are relaxed with rho fixed.
+
+    Nearly all candidates are accepted, so they are linearised at once; the residuals give the cost as well.
+    """
+    lower = graph.linearise(candidate)
     for _ in range(RELAXATIONS):
         if lower <= cost or not np.isfinite(lower):
             break
-        graph.linearise(candidate)
         graph.reduce(0.0)
         candidate = graph.moved(np.zeros_like(candidate.rho))
-        lower = graph.cost(candidate)
+        lower = graph.linearise(candidate)
     return candidate, lower if np.isfinite(lower) else np.inf
 
 

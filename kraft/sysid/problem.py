@@ -255,12 +255,21 @@ class Problem:
         return residuals
 
     def cost(self, point: Point) -> float:
-        """Half of the sum of squared residuals in standard deviations, with the robust loss for poses."""
+        """Cost of a point."""
+        return self.cost_of(
+            self.dynamics_residuals(point), self.control_residuals(point), self.pose_residuals(point), point.rho
+        )
+
+    def cost_of(self, dynamics: Matrix, control: Matrix, pose: Matrix, rho: Floats) -> float:
+        """Half of the sum of squared residuals in standard deviations, with the robust loss for poses.
+
+        Of the residuals (N, nx) of the dynamics, (N, nu) of the controls and (n, 3) of the poses, and of rho (np,).
+        """
         variance = self.noise.process**2 * self.chains.h[:, None]
-        squares = np.sum(self.dynamics_residuals(point) ** 2 / variance)
-        squares += np.sum((self.control_residuals(point) / self.noise.control) ** 2)
-        squares += np.sum(self.prior_residuals(point.rho) ** 2)
-        return float(0.5 * squares) + self.noise.loss(self.pose_residuals(point))
+        squares = np.sum(dynamics**2 / variance)
+        squares += np.sum((control / self.noise.control) ** 2)
+        squares += np.sum(self.prior_residuals(rho) ** 2)
+        return float(0.5 * squares) + self.noise.loss(pose)
 
 
 def assemble(segments: Sequence[Segment], logs: int, parameters: Parameters, noise: NoiseModel) -> Problem:
