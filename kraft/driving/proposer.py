@@ -271,18 +271,20 @@ class Proposer:
         return self._seed * 100_003 + query.number
 
     def _propose_geodesic(self, root: Floats, drives: bool, began: float) -> Proposal:
-        """Path of least cost-to-go; a vehicle that stopped (not `drives`) keeps less of the bound than before.
+        """Path of least cost-to-go; a vehicle that stopped (not `drives`) or does not get on keeps less of the bound.
 
         Whether the controller finds a safe way is known only when the replanner predicts it.
         """
-        dirt = self.dirt
+        dirt, levels = self.dirt, self._levels
         dirt.set_goal_region(*goal_region(self._goal, dirt.vehicle, root))
         if self._settings.bound is not None:
-            self._levels.drive_on(drives)
-            self._levels.require()
+            levels.drive_on(drives and levels.gets_on)
+            levels.require()
         plan = geodesic_plan(dirt, root)
+        if plan is not None:
+            levels.note_progress(plan.cost, rises=False)
         reason = "" if plan is not None else "no path leads to the goal from the predicted start of the cycle"
-        return Proposal(plan, reason, seconds=clock.perf_counter() - began, kept=self._levels.share)
+        return Proposal(plan, reason, seconds=clock.perf_counter() - began, kept=levels.share)
 
     def set_bound(self, bound: DeviationBound) -> None:
         """Set the bound of the deviation; the share that the last plan kept is asked for until the next proposal."""

@@ -13,7 +13,7 @@ import pytest
 from support.diagnostics import raised
 from support.replanner import drive, mushr, start, turns
 
-from kraft.driving.clearance import Solvers
+from kraft.driving.clearance import DeviationBound, Solvers
 from kraft.driving.contingencies import contingency_reference, plan_reference
 from kraft.driving.control import make_controller, sampling
 from kraft.driving.control.sampling import DwaController, MppiController, Rollouts, Updates, updated
@@ -21,6 +21,7 @@ from kraft.driving.control_settings import Dwa, Kinodynamic, Mppi, Nmpc
 from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings, load_method
+from kraft.driving.proposer import Proposer
 from kraft.driving.replanner import Replanner
 from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
@@ -318,6 +319,23 @@ def test_a_planner_and_a_controller_that_do_not_fit_are_refused(old: str, new: s
     with pytest.raises(InputError) as caught:
         load_method(tmp_path / "m.yaml")
     assert place in [each.path for each in caught.value.diagnostics]
+
+
+def test_a_car_that_stands_though_it_drives_keeps_less_of_the_bound() -> None:
+    """A controller that waits before obstacles has safe plans in every cycle, so that no lack of a plan tells it."""
+    planner = load_method("nmpc").planner
+    assert planner.bound is not None
+    made = Solvers.of(turns(), mushr(), planner)
+    shares = []
+    for speed in (0.0, 0.5):
+        proposer, state = Proposer(made, planner, 0), start().copy()
+        proposer.set_bound(DeviationBound(0.05, per_speed=0.1, horizon=planner.bound.horizon))
+        plan = proposer.propose(0, state, None).plan
+        for k in range(1, 13):
+            state[1] += speed * planner.cycle  # along the way
+            kept = proposer.propose(k, state, plan).kept
+        shares.append(kept)
+    assert shares[0] < shares[1] == planner.bound.shares[0]
 
 
 def test_the_geodesic_leads_to_the_goal_and_keeps_the_inscribed_disc_free() -> None:
