@@ -23,6 +23,7 @@ def test_a_singular_system_is_a_negative_result() -> None:
 class SlowStates:
     """A graph whose parameter is found at once, and whose states go on, as long as steps are damped enough."""
 
+    point: Point
     problem: Any = SimpleNamespace(
         parameters=SimpleNamespace(low=np.array([-1.0]), high=np.array([1.0]), free=np.array([True]))
     )
@@ -30,8 +31,9 @@ class SlowStates:
     def cost(self, point: Point) -> float:
         return 1000.0 + float(point.states[0, 0])
 
-    def linearise(self, point: Point) -> None:
+    def linearise(self, point: Point) -> float:
         self.point = point
+        return self.cost(point)
 
     def reduce(self, damping: float) -> RhoFactors:
         self.damping = damping
