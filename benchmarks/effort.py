@@ -22,6 +22,7 @@ class Effort:
         jobs: processes that share the random scenes and trials; everything else runs alone.
         changes: trials with each change of the true car.
         estimated: drives in the test of Theorem 1 with an estimated deviation.
+        again: further drives of each world in which one of these collides, with other seeds.
         estimates: drives in each kind of world in which the estimates are compared with the truth.
         arenas: random arenas and rooms of posts that are driven in.
         worlds: rooms of posts and tracks that fast robots drive in.
@@ -46,6 +47,7 @@ class Effort:
     jobs: int
     changes: int
     estimated: int
+    again: int
     estimates: int
     arenas: int
     worlds: int
@@ -71,6 +73,7 @@ FULL = Effort(
     jobs=2,
     changes=100,
     estimated=10_000,
+    again=6,
     estimates=40,
     arenas=100,
     worlds=120,
@@ -93,6 +96,7 @@ QUICK = Effort(
     jobs=2,
     changes=4,
     estimated=40,
+    again=6,
     estimates=3,
     arenas=4,
     worlds=12,
@@ -114,6 +118,7 @@ SMOKE = Effort(
     jobs=1,
     changes=1,
     estimated=2,
+    again=1,
     estimates=1,
     arenas=1,
     worlds=1,

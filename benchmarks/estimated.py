@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import time as clock
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,7 +19,7 @@ import numpy as np
 from benchmarks.effort import Effort
 from benchmarks.parallel import each, interval, planning_vehicle
 from benchmarks.random_arenas import random_arena
-from benchmarks.report import Report, Target, row
+from benchmarks.report import Report, Row, Target, row
 from kraft.driving.method import Method, load_method
 from kraft.simulation.true_world import ModelWorld
 from kraft.trial.measures import farthest_point
@@ -33,6 +34,7 @@ DELAYS = {"command_delay": 0.25, "latency": 0.15, "communication_delay": 0.2}
 """Largest of each random delay, s; that of commands and that of poses together are within the estimator's range."""
 NOISE = (0.5, 1.5)  # factor on the errors of poses
 CORRELATION = (0.0, 1.5)  # time constant of the errors (s)
+OTHER_SEEDS = 1_000_003  # between the seeds of two drives of the same world and car
 SPREAD = 1.5  # standard deviations of the prior within which the parameters of a car are
 HOLD = 0.45  # throttle that holds the car against its force, at most
 
@@ -66,12 +68,21 @@ def run(effort: Effort) -> Report:
     level = method.planner.bound.level if method.planner.bound else math.nan
     began = clock.perf_counter()
     episodes = each(partial(episode, name=effort.method), range(effort.estimated), effort.jobs, chunk=4)
+    hits = [e.number for e in episodes if e.outcome == Outcome.COLLISION]
+    further = each(partial(_further, numbers=hits, name=effort.method), range(effort.again * len(hits)), effort.jobs)
     took = clock.perf_counter() - began
-    return report(episodes, level, took, effort)
+    return report(episodes, level, took, effort, further)
 
 
-def report(episodes: Sequence[Episode], level: float, took: float, effort: Effort) -> Report:
-    """Table of the episodes, against the stated level."""
+def _further(k: int, numbers: Sequence[int], name: str) -> Episode:
+    """Drive number k of the further ones in the worlds of some episodes."""
+    return episode(numbers[k % len(numbers)], name, 1 + k // len(numbers))
+
+
+def report(
+    episodes: Sequence[Episode], level: float, took: float, effort: Effort, further: Sequence[Episode] = ()
+) -> Report:
+    """Table of the episodes, against the stated level; `further` ones are drives of worlds in which one collided."""
     total, ticks, held = (sum(getattr(e, name) for e in episodes) for name in ("seconds", "ticks", "held"))
     cycles, broken = sum(e.cycles for e in episodes), sum(e.broken for e in episodes)
     count = {outcome: [e for e in episodes if e.outcome == outcome] for outcome in map(str, Outcome)}
@@ -92,6 +103,7 @@ def report(episodes: Sequence[Episode], level: float, took: float, effort: Effor
         row("mean delta", "mm", [1000.0 * e.delta for e in episodes if e.ticks]),
         row("mean deviation", "mm", [1000.0 * e.deviation for e in episodes if e.ticks]),
         row("processor time of an episode", "s", [e.seconds for e in episodes]),
+        *further_rows(further),
     ]  # fmt: skip
     notes = [
         f"{effort.method} with {ITERATIONS[0]} to {ITERATIONS[1]} iterations a cycle; level {level:g}; 95 % intervals.",
@@ -102,11 +114,32 @@ def report(episodes: Sequence[Episode], level: float, took: float, effort: Effor
     return Report("estimated", rows, notes=notes)
 
 
-def episode(number: int, name: str) -> Episode:
-    """Drive episode `number`."""
+def further_rows(further: Sequence[Episode]) -> list[Row]:
+    """What came of further drives of the worlds in which an episode collided.
+
+    A third of them or more collide, so that two versions can be compared with a hundredth of the drives that it takes
+    on all worlds.
+    """
+    if not further:
+        return []
+    worlds, hits = {e.number for e in further}, Counter(e.number for e in further if e.outcome == Outcome.COLLISION)
+    always = sum(count * len(worlds) == len(further) for count in hits.values())
+    chance = interval(hits.total(), len(further))
+    return [
+        row(f"collisions in {len(further)} further drives of these worlds, other seeds ({chance})", "%",
+            [100.0 * hits.total() / len(further)]),
+        row(f"worlds in which each of these collides, of {len(worlds)}", "", [always]),
+        row("timeouts in these drives", "%",
+            [100.0 * sum(e.outcome == Outcome.TIMEOUT for e in further) / len(further)]),
+    ]  # fmt: skip
+
+
+def episode(number: int, name: str, again: int = 0) -> Episode:
+    """Drive episode `number`; `again` is the number of another drive of its world and car, with other seeds."""
     began = clock.process_time()
     spec, true = episode_parts(number, name)
-    result = run_trial(spec, world=ModelWorld(spec.scenario, true, {}, number))
+    spec = replace(spec, seed=spec.seed + OTHER_SEEDS * again)
+    result = run_trial(spec, world=ModelWorld(spec.scenario, true, {}, spec.seed))
     return judged(number, result, spec.vehicle, clock.process_time() - began)
 
 

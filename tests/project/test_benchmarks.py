@@ -383,8 +383,22 @@ def test_episodes_compare_the_true_motion_with_the_bound() -> None:
         assert 0.0 < each.deviation < 1.0
     table = estimated.report(episodes, 0.99, 1.0, SMOKE)
     assert quantities(table)["episodes"] == SMOKE.estimated
-    repeated = estimated.episode(0, SMOKE.method)
+    repeated, other = estimated.episode(0, SMOKE.method), estimated.episode(0, SMOKE.method, again=1)
     assert replace(repeated, seconds=0.0) == replace(episodes[0], seconds=0.0)
+    assert (other.number, other.deviation == repeated.deviation) == (0, False)
+
+
+def test_further_drives_of_a_world_are_counted_apart() -> None:
+    drive = estimated.episode(0, SMOKE.method)
+    hit, late = replace(drive, outcome="collision"), replace(drive, outcome="timeout")
+    other = replace(drive, number=5, outcome="success")
+    table = estimated.report(
+        [hit, other], 0.99, 1.0, SMOKE, [hit, replace(hit, number=5), hit, replace(late, number=5)]
+    )
+    found = quantities(table)
+    rows = [value for name, value in found.items() if "further" in name or "these" in name]
+    assert found["episodes"] == 2
+    assert rows == [75.0, 1.0, 25.0]
 
 
 def test_estimates_are_compared_with_the_truth_at_their_own_time() -> None:
