@@ -200,6 +200,10 @@ def _replaced(data: Value, path: KeyPath, override: Override) -> tuple[KeyPath, 
             raise InputError([override.diagnostic(problem, f"expected less than {len(data)}", Code.UNKNOWN)])
         at, value = _replaced(data[first], rest, override)
         return (first, *at), (*data[:first], value, *data[first + 1 :])
+    if data is None and isinstance(first, int):
+        whole = format_path(override.path[: len(override.path) - len(path)])
+        problem = f"there is no item {first}: the file has no {whole}"
+        raise InputError([override.diagnostic(problem, f"expected the whole list, as in {whole}=[...]", Code.UNKNOWN)])
     if isinstance(data, dict) or data is None:
         key = str(first)
         inner = data or {}

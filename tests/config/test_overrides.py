@@ -63,6 +63,7 @@ def test_python_values_do_the_same() -> None:
         ("goal.heading_deg=90", "goal.heading_deg conflict"),
         ("start.x=99", "start.x geometry"),
         ("truth.movable_boxes[9].mass=1", "truth.movable_boxes[9].mass unknown"),
+        ("truth.changes[0].time=abc", "truth.changes[0].time unknown"),
         ("truth.movable_boxes.mass=1", "truth.movable_boxes.mass value"),
         ("vehicle=mushrr", "vehicle not-found"),
         ("sensing", "syntax"),
