@@ -117,7 +117,7 @@ def report(
 def further_rows(further: Sequence[Episode]) -> list[Row]:
     """What came of further drives of the worlds in which an episode collided.
 
-    A third of them or more collide, so that two versions can be compared with a hundredth of the drives that it takes
+    A third of them collide, so that two versions can be compared with a fortieth of the drives that it takes
     on all worlds.
     """
     if not further:
