@@ -200,17 +200,16 @@ def _replaced(data: Value, path: KeyPath, override: Override) -> tuple[KeyPath, 
             raise InputError([override.diagnostic(problem, f"expected less than {len(data)}", Code.UNKNOWN)])
         at, value = _replaced(data[first], rest, override)
         return (first, *at), (*data[:first], value, *data[first + 1 :])
+    before = format_path(override.path[: len(override.path) - len(path)])
     if data is None and isinstance(first, int):
-        whole = format_path(override.path[: len(override.path) - len(path)])
-        problem = f"there is no item {first}: the file has no {whole}"
-        raise InputError([override.diagnostic(problem, f"expected the whole list, as in {whole}=[...]", Code.UNKNOWN)])
+        problem = f"there is no item {first}: the file has no {before}"
+        raise InputError([override.diagnostic(problem, f"expected the whole list, as in {before}=[...]", Code.UNKNOWN)])
     if isinstance(data, dict) or data is None:
         key = str(first)
         inner = data or {}
         at, value = _replaced(inner.get(key), rest, override)
         return (key, *at) if key in inner else (key,), {**inner, key: value}
-    problem = f"{format_path(override.path[: len(override.path) - len(path)])} has no keys"
-    raise InputError([override.diagnostic(problem, "expected a key of the file", Code.UNKNOWN)])
+    raise InputError([override.diagnostic(f"{before} has no keys", "expected a key of the file", Code.UNKNOWN)])
 
 
 def _frozen(value: Any) -> Value:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.benchmarks import quantities
 
 import kraft
 from benchmarks import (
@@ -22,8 +23,6 @@ from benchmarks import (
     changes,
     commands,
     disturbances,
-    estimated,
-    estimates,
     experiment,
     goals,
     headings,
@@ -64,10 +63,6 @@ from ompl_ext.plan import Plan
 from ompl_ext.query import Safety
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Footprint
-
-
-def quantities(report: Report) -> dict[str, float]:
-    return {each.quantity: each.median for each in report.rows}
 
 
 def test_planner_finds_solutions_and_judges_them_by_targets() -> None:
@@ -363,51 +358,6 @@ def test_a_drive_in_a_random_arena_is_counted() -> None:
     counts = {each.quantity.split(",")[0]: each.median for each in arenas.rows_of([drive])[:3]}
     assert counts == {name: float(name == drive.outcome) for name in ("success", "collision", "timeout")}
     assert len(drive.planning) > drive.compared >= drive.regressions
-
-
-def test_random_cars_are_within_their_ranges_and_can_be_held() -> None:
-    vehicle, rng = load_vehicle("mushr-force"), np.random.default_rng(0)
-    for _ in range(50):
-        values = estimated.random_car(rng, vehicle).parameters
-        assert all(vehicle.ranges[name].low <= value <= vehicle.ranges[name].high for name, value in values.items())
-        needed = math.hypot(values["a_x"], values["a_y"]) * values["tau"] * (1 - values["u_0"]) / values["v_delta"]
-        assert needed <= 0.5
-
-
-def test_episodes_compare_the_true_motion_with_the_bound() -> None:
-    episodes = [estimated.episode(number, SMOKE.method) for number in range(SMOKE.estimated)]
-    for each in episodes:
-        assert 0 < each.held <= each.ticks
-        assert each.broken <= each.cycles
-        assert 0.01 < each.delta < 1.0
-        assert 0.0 < each.deviation < 1.0
-    table = estimated.report(episodes, 0.99, 1.0, SMOKE)
-    assert quantities(table)["episodes"] == SMOKE.estimated
-    repeated, other = estimated.episode(0, SMOKE.method), estimated.episode(0, SMOKE.method, again=1)
-    assert replace(repeated, seconds=0.0) == replace(episodes[0], seconds=0.0)
-    assert (other.number, other.deviation == repeated.deviation) == (0, False)
-
-
-def test_further_drives_of_a_world_are_counted_apart() -> None:
-    drive = estimated.episode(0, SMOKE.method)
-    hit, late = replace(drive, outcome="collision"), replace(drive, outcome="timeout")
-    other = replace(drive, number=5, outcome="success")
-    table = estimated.report(
-        [hit, other], 0.99, 1.0, SMOKE, [hit, replace(hit, number=5), hit, replace(late, number=5)]
-    )
-    found = quantities(table)
-    rows = [value for name, value in found.items() if "further" in name or "these" in name]
-    assert found["episodes"] == 2
-    assert rows == [75.0, 1.0, 25.0]
-
-
-def test_estimates_are_compared_with_the_truth_at_their_own_time() -> None:
-    """The oracle knows pose and speed; the speed here is a difference quotient of the true poses."""
-    slip = estimates.KINDS.index("slip")
-    known, estimated_errors = (estimates.drive(slip, name).values for name in ("oracle", SMOKE.method))
-    assert np.abs(known[:, :3]).max() < 1e-6
-    assert np.sqrt(np.mean(known[:, 3] ** 2)) < 0.02
-    assert 0.003 < np.sqrt(np.mean(estimated_errors[:, :2] ** 2)) < 0.1
 
 
 def test_headings_lie_all_round_and_later_ones_between_them() -> None:
