@@ -489,7 +489,7 @@ class OnBoard:
 
         On a robot each moment of a cycle is examined for that, as for a loss of commands, but not for other manoeuvres.
         """
-        held, vehicle, safety = reference.control_at(estimate.time), self._model.vehicle, self._safety
+        held, vehicle, safety = reference.control_at(estimate.time), self._model.present_vehicle, self._safety
         rest, states = list(vehicle.rest_indices), [np.asarray(estimate.state, dtype=float)]
         controls = list[Floats]()
         while np.any(np.abs(states[-1][rest]) > safety.rest_speed) and len(states) * safety.step <= safety.horizon:

@@ -141,13 +141,14 @@ class Proposer:
             previous: plan that is executed until then; its remainder is retained.
         """
         began, settings = clock.perf_counter(), self._settings
-        if settings.type == "geodesic":
-            return self._propose_geodesic(root, previous is not None, began)
         region = goal_region(self._goal, self.dirt.vehicle, root)
         for dirt in (self._solvers.planning, self._solvers.checking):
             dirt.set_goal_region(*region)
-        query = _Query(number, root, self._rest(previous), began)
-        proposal = self._propose_in_turn(query) if settings.bound is None else self._propose_at_levels(query)
+        if settings.type == "geodesic":
+            proposal = self._propose_geodesic(root, drives=previous is not None)
+        else:
+            query = _Query(number, root, self._rest(previous), began)
+            proposal = self._propose_in_turn(query) if settings.bound is None else self._propose_at_levels(query)
         seconds = clock.perf_counter() - began
         missed = number > 0 and seconds > settings.cycle - settings.lead  # the first plan is made before the drive
         if self._realtime and missed:
@@ -270,13 +271,12 @@ class Proposer:
     def _seed_of(self, query: _Query) -> int:
         return self._seed * 100_003 + query.number
 
-    def _propose_geodesic(self, root: Floats, drives: bool, began: float) -> Proposal:
+    def _propose_geodesic(self, root: Floats, drives: bool) -> Proposal:
         """Path of least cost-to-go; a vehicle that stopped (not `drives`) or does not get on keeps less of the bound.
 
         Whether the controller finds a safe way is known only when the replanner predicts it.
         """
         dirt, levels = self.dirt, self._levels
-        dirt.set_goal_region(*goal_region(self._goal, dirt.vehicle, root))
         if self._settings.bound is not None:
             levels.drive_on(drives and levels.gets_on)
             levels.require()
@@ -284,7 +284,7 @@ class Proposer:
         if plan is not None:
             levels.note_progress(plan.cost, rises=False)
         reason = "" if plan is not None else "no path leads to the goal from the predicted start of the cycle"
-        return Proposal(plan, reason, seconds=clock.perf_counter() - began, kept=levels.share)
+        return Proposal(plan, reason, kept=levels.share)
 
     def set_bound(self, bound: DeviationBound) -> None:
         """Set the bound of the deviation; the share that the last plan kept is asked for until the next proposal."""

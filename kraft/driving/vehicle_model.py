@@ -62,8 +62,13 @@ class VehicleModel:
         return self
 
     def set_parameters(self, values: Floats) -> None:
-        """Change the parameters (np,), in the vehicle's order, for all who use this model."""
-        self._parameters = np.ascontiguousarray(values, dtype=np.float64)
+        """Change the parameters (np,), in the vehicle's order, for all who use this model or its `parameters`."""
+        self._parameters[: len(values)] = values  # a vehicle without parameters has one entry all the same
+
+    @property
+    def present_vehicle(self) -> Vehicle:
+        """The vehicle with the present parameters."""
+        return self.vehicle.with_parameters(dict(zip(self.vehicle.parameters, self._parameters.tolist(), strict=False)))
 
     def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
         """State (nx,) after holding a control (nu,) for `duration` s; a copy of the state if that is not above 0."""
@@ -134,8 +139,12 @@ class VehicleModel:
 
     @property
     def parameters(self) -> Floats:
-        """Present parameters (np,)."""
+        """Present parameters (np,): one array, which `set_parameters` changes."""
         return self._parameters
+
+    def stop_control(self, state: Floats, number: int) -> Floats:
+        """Control (nu,) of manoeuvre `number` in a state (nx,), by the present parameters."""
+        return stop_control(self.present_vehicle, state, number)
 
     def clamped(self, control: Floats) -> Floats:
         """Control (nu,) clamped to its bounds."""
@@ -270,15 +279,15 @@ class CarModel(VehicleModel):
         """Change the parameters (np,), in the vehicle's order, for all who use this model.
 
         The tables are made of fewer and shorter simulations than at first, in 1 ms, once for the models of a vehicle
-        that learn the same.  If the car does not move at full throttle, the tables of the speed stay as they are.
+        that learn the same.  If the car does not move at full throttle, the tables stay as they are; if it does
+        not move at full steering, those of the turns.
         """
         super().set_parameters(values)
         known = _UPDATED.get(self._key)
         if known is not None:
             self._throttles, self._speeds, self._steerings, self._curvatures, self._slips = known
             return
-        moves = self._update_speeds()
-        self._update_turns()
+        moves = self._update_speeds() and self._update_turns()
         _UPDATED.clear()
         if moves:  # else the tables depend on those before
             _UPDATED[self._key] = self._throttles, self._speeds, self._steerings, self._curvatures, self._slips
@@ -292,11 +301,13 @@ class CarModel(VehicleModel):
         self._throttles, self._speeds = list(map(float, throttles)), list(map(float, np.maximum.accumulate(speeds)))
         return True
 
-    def _update_turns(self) -> None:
-        """Make the tables of curvature and slip for the present parameters."""
+    def _update_turns(self) -> bool:
+        """Make the tables of curvature and slip for the present parameters; whether the car moves at all steerings."""
         steerings = np.linspace(self.low[self.steering], self.high[self.steering], UPDATED_SIZE)
         throttle = self.throttle_for(0.5 * self._speeds[-1])
         before = self._responses(self.steering, steerings, throttle)
+        if not np.all(before[:, self.v] > 0.0):
+            return False
         before[:, self.pose] = 0.0
         controls = np.array([self.command(throttle, steering) for steering in steerings.tolist()])
         after = self.after(before, controls, MAX_STEP)[:, self.pose].tolist()
@@ -304,6 +315,7 @@ class CarModel(VehicleModel):
         curvatures, slips = zip(*turns, strict=True)
         self._steerings, self._slips = list(map(float, steerings)), list(slips)
         self._curvatures = list(map(float, np.maximum.accumulate(curvatures)))
+        return True
 
     @property
     def _key(self) -> tuple[str, bytes, bytes]:
@@ -325,7 +337,7 @@ class CarModel(VehicleModel):
         return last
 
     def velocity_drift(self, speed_drift: float) -> Floats:
-        """None (nx,): the speed follows the throttle."""
+        """Zeros (nx,): the speed follows the throttle."""
         return np.zeros(len(self.vehicle.state))
 
     def drive_control(self, drive: float, turn: float) -> Floats:
@@ -338,7 +350,7 @@ class CarModel(VehicleModel):
         """Control (nu,) with the throttle that leads to the speed of `after`: the brakes' while the car is faster."""
         result, speed = control.copy(), float(after[self.v])
         if float(state[self.v]) > speed + 1e-3:
-            result[self.throttle] = stop_control(self.vehicle, state, 0)[self.throttle]
+            result[self.throttle] = self.stop_control(state, 0)[self.throttle]
         else:
             result[self.throttle] = self.throttle_for(speed)
         return result
@@ -414,7 +426,12 @@ class CarModel(VehicleModel):
 
 
 def _turn(speed: float, dx: float, dy: float, turn: float) -> tuple[float, float]:
-    """Curvature (1/m) and slip angle (rad) of a step of `MAX_STEP` s at a speed (m/s) from the origin."""
+    """Curvature (1/m) and slip angle (rad) of a step of `MAX_STEP` s at a speed (m/s) from the origin.
+
+    Those of a car that stands are 0.
+    """
+    if speed == 0.0:
+        return 0.0, 0.0
     return turn / (MAX_STEP * speed), math.remainder(math.atan2(dy, dx) - 0.5 * turn, math.tau)
 
 

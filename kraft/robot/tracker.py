@@ -134,7 +134,7 @@ class Tracker:
                 return stop
             state = np.array(estimate.state, dtype=float)
             state[list(self.model.vehicle.rest_indices)] = 0.0
-            here = manoeuvre_reference(self.model.vehicle, 0, np.array([estimate.time]), state[np.newaxis])
+            here = manoeuvre_reference(self.model.present_vehicle, 0, np.array([estimate.time]), state[np.newaxis])
             self._stands_after, self._stand = stop, here
         return self._stand
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from kraft.driving.control_settings import Lqr
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
-from kraft.driving.vehicle_model import VehicleModel, stop_control
+from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.vehicles.load import problem_of
 from ompl_ext.arrays import Floats, Matrix
@@ -59,7 +59,7 @@ class LqrController:
         model, time, state = self._model, estimate.time, estimate.state
         if time >= reference.end - 1e-9:
             number = 0 if reference.stop is None else reference.stop.manoeuvre
-            return model.clamped(stop_control(model.vehicle, state, number))
+            return model.clamped(model.stop_control(state, number))
         planned = reference.state_at(time)
         error: Floats = planned - state
         error[model.theta] = math.remainder(float(error[model.theta]), math.tau)

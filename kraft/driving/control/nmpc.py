@@ -91,9 +91,10 @@ class NmpcController:
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) at the estimate's time."""
         if reference.kind is ReferenceKind.CONTINGENCY:
-            self._solution = None
-            return self.law.command(estimate, reference)
-        if self._solution is None or self._updates.are_due(estimate.time):
+            self._solution, self._last = None, self.law.command(estimate, reference)
+            return self._last
+        is_due = self._updates.are_due(estimate.time)
+        if is_due or self._solution is None:
             return self._model.clamped(self.solve(estimate, reference).controls[0])
         self._last = moved(self._solution.controls, (estimate.time - self._time) / self._settings.step)[0]
         return self._model.clamped(self._last)

@@ -78,7 +78,7 @@ class PathTracker:
             where=np.array([*model.pose, model.v, model.throttle, model.steering, window]),
             low=model.low,
             high=model.high,
-            parameters=model.vehicle.parameter_array,
+            parameters=model.parameters,
             functions=kernels(model.vehicle).functions,
         )
         tracking(), paths()  # loaded here, before the vehicle drives

@@ -18,7 +18,7 @@ import numpy as np
 
 from kraft.driving.control_settings import Dwa, Mppi, RolloutCost
 from kraft.driving.messages import Controller, Estimate, Reference, ReferenceKind
-from kraft.driving.vehicle_model import VehicleModel, stop_control
+from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats, Floats32Cube, Matrix
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.specialise import optional_module
@@ -232,6 +232,6 @@ class DwaController:
         costs = self._rollouts.costs(estimate, reference, self._nominal, self._arcs, self._noise, len(self._nominal))
         best = int(costs.argmin())
         if costs[best] >= self._collision:
-            return self._model.clamped(stop_control(self._model.vehicle, estimate.state, 0))
+            return self._model.clamped(self._model.stop_control(estimate.state, 0))
         chosen: Floats = self._controls[best]
         return chosen
