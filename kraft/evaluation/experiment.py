@@ -187,6 +187,7 @@ TEXTS: Final = ("title", "description")
 """Keys of scenarios and methods that no result depends on."""
 SECTIONS: Final = ("scenarios", "methods", "vehicles")
 """Sections with one entry for each name."""
+ROW_KEYS: Final = {"scenario", "method", "vehicle"}
 MISSING: Final = object()
 
 
@@ -244,7 +245,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
     """Read a manifest.
 
     Raises:
-        InputError: if the file cannot be read or is not a JSON object with a schema.
+        InputError: if the file cannot be read, is not a JSON object with this schema, or has no rows.
     """
     expected = "expected a manifest as kraft eval writes it"
     try:
@@ -255,6 +256,12 @@ def read_manifest(path: Path) -> dict[str, Any]:
         raise InputError.of(str(path), f"is not JSON: {error}", expected, Code.SYNTAX) from None
     if not isinstance(content, dict) or not isinstance(content.get("schema"), str):
         raise InputError.of(str(path), "has no schema", expected, Code.MISSING)
+    if content["schema"] != MANIFEST_SCHEMA:
+        problem = f"has the schema {content['schema']!r}"
+        raise InputError.of(str(path), problem, f"expected {MANIFEST_SCHEMA!r}", Code.MISMATCH)
+    rows = content.get("rows")
+    if not isinstance(rows, list) or not all(isinstance(row, dict) and row.keys() >= ROW_KEYS for row in rows):
+        raise InputError([Diagnostic(str(path), "is damaged", expected, path="rows", code=Code.SYNTAX)])
     return content
 
 

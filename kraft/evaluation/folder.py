@@ -9,6 +9,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -89,13 +90,18 @@ def reopen(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> 
     """
     check_exists(path)
     if not (path / MANIFEST).exists() and not (path / journal.NAME).exists():
+        check_empty(path)
         return _new_folder(path, experiment, arguments)  # it was stopped before the manifest was written
     was = read_manifest(path / MANIFEST)
     check_same_manifest(path / MANIFEST, was, manifest_of(experiment, arguments))
     file = path / journal.NAME
-    found = read_journal(file, {job.key for job in experiment.jobs()})
-    opened = Journal(file, found.complete_bytes)
-    return Folder(path, was, opened, _finished(found.rows), found.incomplete_bytes > 0)
+    opened = Journal(file)  # first, so that no other process writes it any more
+    try:
+        rows = read_journal(file, {job.key for job in experiment.jobs()})
+    except InputError:
+        opened.close()
+        raise
+    return Folder(path, was, opened, _finished(rows), opened.was_cut)
 
 
 def check_exists(path: Path) -> None:
@@ -109,6 +115,19 @@ def check_exists(path: Path) -> None:
         raise InputError.of(str(path), "there is no such folder", expected, Code.NOT_FOUND)
 
 
+def check_empty(path: Path) -> None:
+    """Check that a folder without a manifest has nothing in it but what a stopped evaluation leaves.
+
+    Raises:
+        InputError: if it has other files.
+    """
+    others = sorted(each.name for each in path.iterdir() if not (each.name.startswith(".") and each.suffix == ".part"))
+    if others:
+        expected = "expected the folder of an earlier kraft eval"
+        problem = f"has no {MANIFEST}, but other files, such as {others[0]}"
+        raise InputError.of(str(path), problem, expected, Code.MISMATCH)
+
+
 def write_results(
     folder: Folder,
     experiment: Experiment,
@@ -116,16 +135,16 @@ def write_results(
     summary: Summary,
     command_line: CommandLine | None = None,
 ) -> None:
-    """Write the summary, the benchmark logs, their database and the report.
+    """Write the summary, the report, the benchmark logs and their database.
 
     Raises:
         InputError: if a file cannot be written.
     """
     write_json(folder.path / SUMMARY, {"schema": SCHEMA, **evaluation_json(summary)})
-    write_benchmark(folder.path, experiment, rows, folder.manifest, summary.wall)
     replays = journal.Replays(folder.path / journal.REPLAYS)
     results = Results.of(experiment, folder.manifest, rows, summary, command_line, replays)
     write_whole(folder.path / report.NAME, report.page(results).encode())
+    write_benchmark(folder.path, experiment, rows, folder.manifest, summary.wall)
 
 
 def _new_folder(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> Folder:
@@ -133,7 +152,8 @@ def _new_folder(path: Path, experiment: Experiment, arguments: Mapping[str, Any]
     try:
         write_json(path / MANIFEST, content)
     except InputError:
-        path.rmdir()  # it is empty, and would block the next attempt
+        with suppress(OSError):  # an empty folder would block the next attempt; one with other files stays
+            path.rmdir()
         raise
     return Folder(path, content, Journal(path / journal.NAME), {})
 

@@ -11,7 +11,6 @@ import json
 import os
 from collections.abc import Collection, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
@@ -136,17 +135,8 @@ NAME: Final = "trials.jsonl"
 REPLAYS: Final = "replays.jsonl"
 
 
-@dataclass(frozen=True)
-class JournalContent:
-    """Rows of a journal, the number of bytes of its complete lines and of an incomplete last line."""
-
-    rows: dict[Key, TrialRow]
-    complete_bytes: int
-    incomplete_bytes: int
-
-
-def read_journal(path: Path, expected: Collection[Key] | None = None) -> JournalContent:
-    """Read a journal.  A last line that a crash cut off is ignored.
+def read_journal(path: Path, expected: Collection[Key] | None = None) -> dict[Key, TrialRow]:
+    """Read the rows of a journal.  A last line that a crash cut off is ignored.
 
     A failed trial may occur again, after it was repeated; its last line is valid.
 
@@ -179,7 +169,7 @@ def read_journal(path: Path, expected: Collection[Key] | None = None) -> Journal
         rows[row.key] = row
     if problems:
         raise InputError(problems)
-    return JournalContent(rows, complete, len(content) - complete)
+    return rows
 
 
 def _line_problem(path: Path, line: int, problem: str, code: Code) -> Diagnostic:
@@ -189,17 +179,18 @@ def _line_problem(path: Path, line: int, problem: str, code: Code) -> Diagnostic
 class Journal:
     """Open journal that one process appends to, with the file of the replays."""
 
-    def __init__(self, path: Path, keep: int = 0) -> None:
-        """Open and lock `path` and truncate it to its first `keep` bytes; replays are in the same folder.
+    def __init__(self, path: Path) -> None:
+        """Open and lock `path`; replays are in the same folder.  A last line that a crash cut off is removed.
 
         Raises:
             InputError: if a file cannot be written, or another process has it open.
         """
         self.path = path
-        self._trials = _Lines(path, keep)
+        self._trials = _Lines(path)
+        self.was_cut: Final = self._trials.was_cut
+        """whether its last line was incomplete"""
         try:
-            replays = path.with_name(REPLAYS)
-            self._replays = _Lines(replays, complete_bytes(replays))
+            self._replays = _Lines(path.with_name(REPLAYS))
         except InputError:
             self._trials.close()
             raise
@@ -226,16 +217,19 @@ class Journal:
 class _Lines:
     """Open file of lines; after a line that cannot be written it ends with the one before."""
 
-    def __init__(self, path: Path, keep: int) -> None:
-        self.path, self._end = path, keep
+    def __init__(self, path: Path) -> None:
+        self.path = path
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         except OSError as error:
             raise unwritable(self.path, error) from error
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            os.ftruncate(self._file, keep)
-            os.lseek(self._file, keep, os.SEEK_SET)
+            # with the lock: before, another process may still append lines
+            self._end = complete_bytes(path)
+            self.was_cut = os.fstat(self._file).st_size > self._end
+            os.ftruncate(self._file, self._end)
+            os.lseek(self._file, self._end, os.SEEK_SET)
         except BlockingIOError:
             os.close(self._file)
             expected = "expected the other one to end first"

@@ -144,6 +144,32 @@ def test_an_evaluation_stopped_before_its_manifest_begins_anew(tmp_path: Path) -
     assert run(tmp_path / "out", resume=True).complete
 
 
+def test_a_folder_of_something_else_is_not_adopted(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "thesis.txt").write_text("mine")
+    (out / ".manifest.json.x.part").touch()  # what a stopped evaluation may leave
+    with refused((out, Code.MISMATCH)):
+        run(out, resume=True)
+    assert {path.name for path in out.iterdir()} == {"thesis.txt", ".manifest.json.x.part"}
+
+
+@pytest.mark.parametrize(
+    ("content", "code"),
+    [
+        ({"schema": "kraft.eval-manifest/1"}, Code.SYNTAX),
+        ({"schema": "kraft.eval-manifest/1", "rows": [{"method": "kraft"}]}, Code.SYNTAX),
+        ({"schema": "kraft.plan/1", "rows": []}, Code.MISMATCH),
+        ({}, Code.MISSING),
+    ],
+)
+def test_a_damaged_manifest_is_refused(tmp_path: Path, content: dict[str, Any], code: Code) -> None:
+    run(tmp_path / "out")
+    (tmp_path / "out/manifest.json").write_text(json.dumps(content))
+    with refused((tmp_path / "out/manifest.json", code)):
+        run(tmp_path / "out", resume=True)
+
+
 def test_there_must_be_something_to_go_on_with(tmp_path: Path) -> None:
     with refused((tmp_path / "out", Code.NOT_FOUND)):
         run(tmp_path / "out", resume=True)
@@ -278,12 +304,15 @@ rows = st.builds(
 def test_a_journal_cut_anywhere_holds_its_whole_lines(found: list[TrialRow], data: st.DataObject) -> None:
     content = b"".join(row.model_dump_json().encode() + b"\n" for row in found)
     cut = data.draw(st.integers(0, len(content)))
-    with tempfile.NamedTemporaryFile() as file:
-        path = Path(file.name)
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "trials.jsonl"
         path.write_bytes(content[:cut])
         read = read_journal(path)
-    assert list(read.rows.values()) == found[: content[:cut].count(b"\n")]
-    assert read.complete_bytes + read.incomplete_bytes == cut
+        assert list(read.values()) == found[: content[:cut].count(b"\n")]
+        opened = Journal(path)
+        opened.close()
+        kept = content[: content[:cut].rfind(b"\n") + 1]
+        assert (path.read_bytes(), opened.was_cut) == (kept, len(kept) < cut)
 
 
 def test_the_default_folder_is_never_one_that_exists(tmp_path: Path) -> None:

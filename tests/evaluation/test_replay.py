@@ -124,7 +124,7 @@ def test_replays_are_written_beside_the_trials_and_an_incomplete_line_is_repeate
         file.write('{"entry": "turns", "meth')
     replays = Replays(tmp_path / REPLAYS)
     assert (len(replays), KEY in replays, replays.read(KEY)) == (1, True, Replay("first", "t"))
-    journal = Journal(path, path.stat().st_size)
+    journal = Journal(path)
     journal.append(row(4, "second"))
     journal.append(row(3, "again"))
     journal.close()

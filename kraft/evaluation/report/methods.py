@@ -86,7 +86,7 @@ def methods(results: Results) -> Element | None:
     quantiles = [total.measures.deviation_quantiles((0.5, 0.9, 0.99)) for total in totals]
     most = [row[3] for found in quantiles for row in found] + [t.measures.clearance.delta_mean or 0.0 for t in totals]
     panels = [
-        _panel(total, found, max(most), max(found[-1][0] for found in quantiles if found))
+        _panel(total, found, max([*most, LEAST_TOP]), max(found[-1][0] for found in quantiles if found))
         for total, found in zip(totals, quantiles, strict=True)
         if found
     ]
@@ -254,6 +254,7 @@ def _panel(total: _Total, quantiles: Sequence[Sequence[float]], top: float, last
 
 DEVIATION_WIDTH, DEVIATION_HEIGHT = 170.0, 46.0
 DEVIATION_EDGE: Final = 4.0
+LEAST_TOP: Final = 0.01  # of an axis of deviations, m: those of an exact model may all be 0
 NO_REASON: Final = "retained, and yet longer"
 
 
@@ -312,7 +313,7 @@ def measures_table(shown: Shown, results: Sequence[Result]) -> Element | None:
     each = [_Deviations.of(result) if shown.deviations else _Deviations((), (), ()) for result in results]
     cycle = max((d.until[-1] for d in each if d.until), default=0.0)
     deltas = [result.measures.clearance.delta_mean or 0.0 for result in results]
-    top = max([0.01, *deltas, *(value for d in each for value in d.most)])
+    top = max([LEAST_TOP, *deltas, *(value for d in each for value in d.most)])
     heading = [element("th", "what was promised, and what held"), *_headings(shown)]
     if shown.deviations:
         scale = f"0 to {cycle:.1f} s since the commit, to {1000 * top:.0f} mm"

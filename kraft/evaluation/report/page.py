@@ -28,13 +28,14 @@ from kraft.evaluation.report.entry import (
     trials_section,
 )
 from kraft.evaluation.report.methods import Shown, measures_table, methods
-from kraft.evaluation.report.results import Cell, Results
+from kraft.evaluation.report.results import VERSIONS, Cell, Results
 from kraft.evaluation.report.sweeps import settings_text, sweep_pictures, sweeps
 from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted, decimals
 from kraft.trial.result import CauseKind
 
 LISTED: Final = 200  # unsuccessful trials of a scenario that are listed
+SHORTEST_AXIS: Final = 0.1  # of times, s: with a start in the goal every time is 0
 SAFE: Final = " !$'()*+,/:;=?@~"  # characters that need no escape in an address of data
 
 
@@ -96,7 +97,7 @@ def _facts(results: Results) -> Iterator[tuple[str, str]]:
     if results.summary.wall:
         minutes, seconds = divmod(round(results.summary.wall), 60)
         yield "took", f"{minutes} min {seconds} s" if minutes else f"{seconds} s"
-    yield "versions", ", ".join(f"{name} {manifest.versions[name]}" for name in ("kraft", "mujoco", "python"))
+    yield "versions", ", ".join(f"{name} {manifest.versions[name]}" for name in VERSIONS)
 
 
 def _fact(name: str, value: str) -> Element:
@@ -166,7 +167,7 @@ def _table(results: Results, name: str, mine: Sequence[Result]) -> Element:
         *success_times(results.of_cell(name)),
         *(r.paper.t_ex for r in mine if r.paper and r.paper.t_ex is not None),
     ]
-    longest = 1.02 * max(times, default=1.0)
+    longest = 1.02 * max([*times, SHORTEST_AXIS])
     heading = [element("th", text) for text in ("method", "how trials ended", "succ / coll / timeout")]
     heading += [element("th", "time, s", time_axis(longest))]
     columns = ("mean, s", "p", "contingencies", "clearance, m", "planning, ms")

@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation import journal
-from kraft.evaluation.experiment import MANIFEST, MANIFEST_SCHEMA, Experiment, read_manifest, scenario_content
+from kraft.evaluation.experiment import MANIFEST, Experiment, read_manifest, scenario_content
 from kraft.evaluation.journal import Key, Replays, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import RowName, Summary, recorded_wall, tabulate
@@ -21,6 +21,9 @@ from kraft.text import grouped, slugs
 
 EXPECTED = "expected the results folder of a kraft eval"
 
+
+VERSIONS: Final = ("kraft", "mujoco", "python")
+"""Programs whose versions the page has."""
 
 ANCHORS = (
     "overview", "causes", "methods", "sweeps", "trials", "entries", "replay", "data", "stage", "plots", "show"
@@ -69,6 +72,14 @@ class Manifest(_Part):
     scenarios: dict[str, Hashed]
     vehicles: dict[str, Any]
     versions: dict[str, str]
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> Self:
+        """Check that every row has its scenario, and that the versions of the page are there."""
+        missing = {cell.name for cell in self.rows} - self.scenarios.keys() | set(VERSIONS) - self.versions.keys()
+        if missing:
+            raise ValueError(f"{', '.join(sorted(missing))} is missing")
+        return self
 
     @property
     def seeds(self) -> range:
@@ -218,18 +229,14 @@ def read_results(folder: Path, command_line: CommandLine | None = None) -> Resul
     file = folder / MANIFEST
     if not file.exists():
         raise InputError.of(str(folder), f"has no {MANIFEST}", EXPECTED, Code.NOT_FOUND)
-    content = read_manifest(file)
-    if content["schema"] != MANIFEST_SCHEMA:
-        problem = f"has the schema {content['schema']!r}"
-        raise InputError.of(str(file), problem, f"expected {MANIFEST_SCHEMA!r}", Code.MISMATCH)
     try:
-        found = Manifest.model_validate(content)
+        found = Manifest.model_validate(read_manifest(file))
     except ValidationError as error:
         where = ".".join(str(part) for part in error.errors()[0]["loc"])
         expected = "expected the manifest that kraft eval writes"
         raise InputError([Diagnostic(str(file), "is damaged", expected, path=where, code=Code.SYNTAX)]) from None
     trials = {(cell.name, cell.method, seed) for cell in found.rows for seed in found.seeds}
-    rows = journal.read_journal(folder / journal.NAME, trials).rows
+    rows = journal.read_journal(folder / journal.NAME, trials)
     summary = tabulate(found.names, found.seeds, rows, _wall(folder), realtime=found.realtime)
     replays = journal.Replays(folder / journal.REPLAYS)
     return Results(found, rows, summary, _unchanged(found), command_line, replays)

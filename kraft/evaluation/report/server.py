@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from kraft.errors import InputError
 from kraft.evaluation.report.entry import replay_part
@@ -39,6 +40,11 @@ class ReportServer(ThreadingHTTPServer):
     def url(self) -> str:
         """Address of the page."""
         return f"http://{ADDRESS}:{self.server_port}/"
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Report an error of a request; a visitor who closes the page early is none."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
 
     def read(self) -> Results:
         """Read the folder again.
