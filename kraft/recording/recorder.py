@@ -22,6 +22,7 @@ import numpy as np
 from kraft.driving.vehicle_model import VehicleModel, model_of
 from kraft.errors import Code, InputError
 from kraft.files import check_writable, new_folder, write_csv, write_json
+from kraft.planning.search import check_seed
 from kraft.planning.workspace import workspace_of
 from kraft.provenance import SIMULATION, plain, plain_hash, versions
 from kraft.recording.manoeuvres import COMMAND_RATE, NAMES, Manoeuvre, manoeuvre
@@ -158,8 +159,9 @@ class Recorder:
             seed: seed of manoeuvres, starts and the camera's errors.
 
         Raises:
-            InputError: if the true robot cannot be simulated there, or takes other controls.
+            InputError: if the true robot cannot be simulated there or takes other controls, or the seed is negative.
         """
+        check_seed(seed)
         self._scenario, self._seed = scenario, seed
         self._model = model_of(vehicle)
         self._free_space = FreeSpace(scenario, vehicle)

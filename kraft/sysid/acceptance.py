@@ -6,7 +6,8 @@ identification is accepted by open-loop prediction before and after it, and by o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
@@ -27,7 +28,14 @@ from kraft.sysid.interface import (
     correlations,
 )
 from kraft.sysid.optimiser import OnIteration, ignore_iteration
-from kraft.sysid.prediction import HORIZONS, Window, constant_windows, predict_windows, window_errors
+from kraft.sysid.prediction import (
+    HORIZONS,
+    Window,
+    constant_windows,
+    is_predictable,
+    predict_windows,
+    window_errors,
+)
 from kraft.sysid.smoothing import thinned
 from kraft.text import counted
 from kraft.vehicles.config import VehicleConfig
@@ -64,13 +72,13 @@ class CarModel:
 class _Candidate:
     model: CarModel
     errors: Matrix
-    """(logs, horizons) of logs that it was not fitted to, m"""
+    """(logs, horizons) of logs that it was not fitted to, m; NaN where a log is too short to predict"""
 
-    @property
-    def scores(self) -> Floats:
-        """(logs,) mean of the errors over their time, m/s."""
-        scores: Floats = np.nanmean(self.errors / np.array(HORIZONS), axis=1)
-        return scores
+    def score(self, logs: Sequence[int] | slice = slice(None)) -> float:
+        """Mean of the errors of some logs over their time, m/s; infinite if none of them was predicted."""
+        rates = self.errors[logs] / np.array(HORIZONS)
+        rates = rates[~np.isnan(rates).all(axis=1)]
+        return float(np.nanmean(rates, axis=1).mean()) if len(rates) else math.inf
 
 
 def models_of_cars() -> tuple[str, ...]:
@@ -97,13 +105,13 @@ def identify_car(
     judged, refused = [_judged(car, logs, settings)], []
     for name in KNOWN:
         screened = _screened(name, judged[0], logs, settings, on_iteration)
-        if screened is not None and screened.scores.mean() > SCREENING_FACTOR * judged[0].scores[_tests(logs)].mean():
+        if screened is not None and screened.score() > SCREENING_FACTOR * judged[0].score(_tests(logs)):
             refused.append(screened)
         elif (known := _known(name, logs, settings, on_iteration)) is not None and known.identification.converged:
             judged.append(_judged(known, logs, settings))
     best = judged[0]
     for other in judged[1:]:
-        if other.scores.mean() < best.scores.mean():
+        if other.score() < best.score():
             best = other
     models = tuple(_trial(candidate, chosen=candidate is best) for candidate in (*judged, *refused))
     return replace(best.model, identification=replace(best.model.identification, models=models))
@@ -166,15 +174,17 @@ def _known(name: str, logs: Sequence[Log], settings: Settings, on_iteration: OnI
 
 
 def _judged(model: CarModel, logs: Sequence[Log], settings: Settings) -> _Candidate:
-    """Errors of each log, predicted with the parameters that the others give."""
+    """Errors of each usable log, predicted with the parameters that the others give; NaN of one too short for that."""
     identification = model.identification
     settings = identification.predicting(settings)
-    values = identification.without_log
+    values, usable = identification.without_log, usable_logs(model.base.vehicle, logs)
     errors = []
-    for i, log in enumerate(usable_logs(model.base.vehicle, logs)):
-        own = values[i] if len(values) == len(logs) else identification.values
-        found = window_errors(predict_windows(model.base.definition, [log], own, settings))
-        errors.append([found.position.get(after, np.nan) for after in HORIZONS])
+    for i, log in enumerate(usable):
+        own = values[i] if len(values) == len(usable) else identification.values
+        found: Mapping[float, float] = {}
+        if is_predictable(log, settings):
+            found = window_errors(predict_windows(model.base.definition, [log], own, settings)).position
+        errors.append([found.get(after, np.nan) for after in HORIZONS])
     return _Candidate(model, np.array(errors))
 
 

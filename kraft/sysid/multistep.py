@@ -441,7 +441,8 @@ def fit(
 ) -> Optimum:
     """Minimise the cost within the bounds of the parameters, in at most `most` steps (Levenberg-Marquardt).
 
-    The fit has converged after two steps that decrease the cost by a share of at most `tolerance`.
+    The fit has converged after two steps that decrease the cost by a share of at most `tolerance`, or if no step
+    from the exact linearisation decreases it, however short.
     """
     p = graph.problem.parameters
     point, cost, damping, converged, iterations = start, graph.cost(start), DAMPING_INITIAL, False, 0

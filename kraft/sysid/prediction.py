@@ -233,15 +233,20 @@ def pieces_of(logs: Sequence[Log], settings: Settings, length: float = WINDOW_LE
     Raises:
         InputError: if there is none.
     """
-    found = [
-        piece
-        for i, log in enumerate(logs)
-        for part in log.parts
-        for piece in _pieces(part, thinned(part, settings.step), i, settings.step, length)
-    ]
+    found = [piece for i, log in enumerate(logs) for piece in _pieces_of_log(log, i, settings, length)]
     if not found:
         raise InputError.of("logs", "are all shorter than a second", "expected longer ones to predict", Code.DATA)
     return found
+
+
+def is_predictable(log: Log, settings: Settings) -> bool:
+    """Whether a log has a window that can be predicted."""
+    return next(_pieces_of_log(log, 0, settings, WINDOW_LENGTH), None) is not None
+
+
+def _pieces_of_log(log: Log, number: int, settings: Settings, length: float) -> Iterator[Piece]:
+    for part in log.parts:
+        yield from _pieces(part, thinned(part, settings.step), number, settings.step, length)
 
 
 def prediction_errors(

@@ -203,7 +203,7 @@ def true_vehicle(vehicle: Vehicle, gap: VehicleGap) -> Vehicle:
     k gives L / k, and an offset is one of the commanded angle.  The time constant grows with the mass.
 
     Raises:
-        InputError: if the car differs from its model, and the model has other parameters.
+        InputError: if the car differs from its model, and the model has other parameters or could not move.
     """
     if gap == VehicleGap():
         return vehicle
@@ -212,6 +212,11 @@ def true_vehicle(vehicle: Vehicle, gap: VehicleGap) -> Vehicle:
         raise InputError.of(vehicle.name, problem, "expected the model mushr-drive", Code.MISMATCH)
     values = dict(vehicle.parameters)
     drive, friction = gap.drive_scale, values["u_0"]
+    if drive <= friction:
+        problem = (
+            f"would not move with a drive_scale of {drive:g}: its friction takes a share of {friction:g} of the drive"
+        )
+        raise InputError.of(vehicle.name, problem, "expected a drive_scale above that", Code.MISMATCH)
     values["v_delta"] *= (drive - friction) / (1.0 - friction)
     values["u_0"] = friction / drive
     values["L"] /= gap.steering_scale

@@ -16,7 +16,9 @@ import numpy as np
 from kraft.driving.messages import ContingencyOrigin, Cycle, Observation, Reference, ReferenceKind, as_driven
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import InputError
-from kraft.planning.workspace import vehicle_of_task
+from kraft.planning.feasibility import check_placement
+from kraft.planning.search import check_seed
+from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario import Scenario, load_scenario
 from kraft.text import finite
 from kraft.trial.measures import Measures, Record, Step, farthest_point
@@ -56,6 +58,14 @@ class TrialSpec:
     seed: int
     realtime: bool = False
 
+    def __post_init__(self) -> None:
+        """Check the seed.
+
+        Raises:
+            InputError: if it is negative.
+        """
+        check_seed(self.seed)
+
     @classmethod
     def load(
         cls,
@@ -70,11 +80,12 @@ class TrialSpec:
         `vehicle` replaces the method's and the scenario's, `settings` are values of the scenario's dotted keys.
 
         Raises:
-            InputError: with what is wrong with scenario, settings, method or vehicle.
+            InputError: with what is wrong with scenario, settings, method, vehicle or seed, or with where the start is.
         """
         loaded, loaded_method = load_scenario(scenario, settings), load_method(method)
         model = planning_vehicle(loaded, loaded_method, vehicle)
         check_robot(loaded, model)
+        check_placement(loaded, model, start_state(loaded, model))
         return cls(loaded, loaded_method, model, seed)
 
 

@@ -157,3 +157,16 @@ def test_parameters_that_act_on_turning_alone_are_told_from_those_that_act_on_th
     found = {p for p, acts in zip(subject.vehicle.parameters, subject.acts_on_turning(), strict=True) if acts}
     assert found == expected
     assert subject.parameters == pytest.approx(list(subject.vehicle.parameters.values()))
+
+
+@pytest.mark.parametrize(
+    "parameters", [{"friction": 5.0}, {"a_drive": 0.0}, {"dead_zone": 0.5, "friction": 2.0}], ids=lambda p: "-".join(p)
+)
+def test_a_car_that_seems_not_to_move_keeps_its_tables(parameters: dict[str, float]) -> None:
+    """A car that pushes against a box in vain may be identified as one without a drive."""
+    model = model_of(load_vehicle("car"))
+    assert isinstance(model, CarModel)
+    before = [model.curvature(steering) for steering in (-0.2, 0.0, 0.3)]
+    model.set_parameters(np.array(list({**model.vehicle.parameters, **parameters}.values())))
+    assert [model.curvature(steering) for steering in (-0.2, 0.0, 0.3)] == before
+    assert model.steering_for(before[0]) == pytest.approx(-0.2)

@@ -17,6 +17,8 @@ from kraft.driving.contingencies import (
     plan_reference,
     stop_control,
 )
+from kraft.driving.control import make_controller
+from kraft.driving.control_settings import Kinodynamic
 from kraft.driving.messages import Commitment, Estimate, Reference, ReferenceKind
 from kraft.driving.method import PlannerSettings
 from kraft.driving.replanner import Replanner
@@ -190,3 +192,28 @@ def test_a_stop_before_the_contingency_begins_keeps_the_wheels_as_the_plan_has_t
     assert np.abs(stop.controls[:, 0] - [stop_control(vehicle, each, 0)[0] for each in stop.states[:-1]]).max() == 0.0
     assert abs(stop.states[-1][3]) <= Safety().rest_speed
     assert np.sign(stop.states[-1][2] - state[2]) == np.sign(steering)
+
+
+def test_a_stop_uses_the_parameters_that_were_identified() -> None:
+    """On a floor that pushes the car back, zero throttle would let it roll on after the stop."""
+    model = model_of(load_vehicle("mushr-force"))
+    parameters = model.parameters.copy()
+    parameters[list(model.vehicle.parameters).index("a_x")] = -0.3
+    state = np.zeros(len(model.vehicle.state))
+    state[model.v] = 0.4
+    plan = Reference(ReferenceKind.PLAN, np.array([0.0, 1.0]), np.tile(state, (2, 1)), np.zeros((1, 2)), np.zeros(2))
+    settings = PlannerSettings(
+        mode="replanning", cycle=1.0, on_board="contingency", contingencies="tracked", safety=MARGIN
+    )
+    board = OnBoard(settings, Safety(cycle=1.0), model, Commitment(plan))
+    law = make_controller(Kinodynamic(kind="kinodynamic"), model, None, 0)  # made before anything is identified
+    model.set_parameters(parameters)
+    board.stop(Estimate(0.0, state, 0.0))
+    stop = board.commitment.reference
+    assert stop.end < 2.0
+    for _ in range(60):
+        time = stop.end + 0.05
+        state = model.advance(state, law.command(Estimate(time, state, 0.0), stop), 0.05)
+    assert abs(state[model.v]) < 0.01
+    assert stop.rest[0] > 0.25
+    assert model.present_vehicle.parameters["a_x"] == -0.3

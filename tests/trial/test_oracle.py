@@ -125,3 +125,8 @@ def test_without_messages_the_first_plan_is_driven_to_its_end() -> None:
     first = alone.cycles[0].reference
     after = [step.command for step in alone.steps if step.time > first.end + 2.0]
     assert all(command == pytest.approx(first.rest) for command in after)
+
+
+def test_a_car_whose_friction_takes_all_of_its_drive_has_no_model() -> None:
+    problems = raised(lambda: true_vehicle(load_vehicle("mushr-drive"), VehicleGap(drive_scale=0.13)))
+    assert [each.code for each in problems] == [Code.MISMATCH]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from kraft.trial.result import Outcome, outcome_text
+from kraft.errors import Code, InputError
+from kraft.trial.result import Outcome, TrialSpec, outcome_text
 
 
 @pytest.mark.parametrize(
@@ -19,3 +20,12 @@ from kraft.trial.result import Outcome, outcome_text
 )
 def test_an_outcome_has_one_phrase(outcome: str, obstacle: str | None, time: float | None, text: str) -> None:
     assert outcome_text(outcome, obstacle, time) == text
+
+
+def test_a_trial_that_cannot_begin_is_refused_when_it_is_loaded() -> None:
+    with pytest.raises(InputError) as inside:
+        TrialSpec.load("turns", settings={"start.x": -0.25, "start.y": 2.5})
+    assert [each.code for each in inside.value.diagnostics] == [Code.GEOMETRY]
+    with pytest.raises(InputError) as seed:
+        TrialSpec.load("turns", seed=-1)
+    assert [each.code for each in seed.value.diagnostics] == [Code.VALUE]

@@ -134,7 +134,7 @@ class MppiController:
         self._deviation = settings.spread * (model.high - model.low)
         cutoff = NEGLIGIBLE * settings.temperature
         self._rollouts = Rollouts(dirt, model, settings, self._deviation**-2.0, settings.steps, cutoff)
-        self._random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed % 2**63, 0x3991])))
+        self._random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 0x3991])))
         self._nominal = self._at_rest()
         self._noise = np.empty((settings.steps, len(self._deviation), settings.rollouts), np.float32)  # working memory
         self._updates = Updates(settings.predicted_hz)
