@@ -28,7 +28,7 @@ from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import Vehicle
 
-ITERATIONS = (200, 400)  # of a cycle, instead of 1000 and 2000: more episodes for the same time
+ITERATIONS = (200, 400)  # of a cycle, instead of 500 and 1000: more episodes for the same time
 TIMEOUT = 30.0  # s
 DELAYS = {"command_delay": 0.25, "latency": 0.15, "communication_delay": 0.2}
 """Largest of each random delay, s; that of commands and that of poses together are within the estimator's range."""

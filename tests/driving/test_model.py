@@ -160,7 +160,7 @@ def test_parameters_that_act_on_turning_alone_are_told_from_those_that_act_on_th
 
 
 @pytest.mark.parametrize(
-    "parameters", [{"friction": 5.0}, {"a_drive": 0.0}, {"dead_zone": 0.5, "friction": 2.0}], ids=lambda p: "-".join(p)
+    "parameters", [{"friction": 5.0}, {"a_drive": 0.0}, {"dead_zone": 0.5, "friction": 2.0}], ids="-".join
 )
 def test_a_car_that_seems_not_to_move_keeps_its_tables(parameters: dict[str, float]) -> None:
     """A car that pushes against a box in vain may be identified as one without a drive."""
