@@ -67,6 +67,16 @@ class ParameterRange:
 
 
 @dataclass(frozen=True)
+class OpenLoopErrors:
+    """Root mean square errors of open-loop predictions `after` (n,) s: `along` and `across` the vehicle (m), `yaw`."""
+
+    after: tuple[float, ...]
+    along: tuple[float, ...]
+    across: tuple[float, ...]
+    yaw: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class Vehicle:
     """Vehicle model: functions, names and bounds of its components, footprint, parameters.
 
@@ -102,6 +112,8 @@ class Vehicle:
     """share of gravity along a slope that accelerates the vehicle, the rest the drive takes; None if it is not known"""
     delay: tuple[float, float] | None = None
     """delay of commands and its standard deviation (s), which only estimators use; None if it is not known"""
+    errors_by_speed: tuple[OpenLoopErrors, ...] = ()
+    """of predictions of drives that were not fitted, from slow to fast ones, which only estimators use"""
     file: str = field(default="", compare=False)
     """file that its numbers were read from, for messages; empty for a vehicle in code alone"""
 

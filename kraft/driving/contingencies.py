@@ -132,7 +132,7 @@ class _PredictedManoeuvre:
                 impact_speed = abs(float(states[-1][vehicle.rest_indices[0]]))
             distance = min(distance, nearest)
             states.append(samples[-1])
-            if all(abs(states[-1][k]) <= safety.rest_speed for k in vehicle.rest_indices):
+            if is_resting(dirt, states[-1]):
                 break
         rest = holding_control(vehicle, states[-1])
         return cls(number, np.array(states), np.array(controls), rest, distance, impact_speed)

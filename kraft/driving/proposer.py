@@ -15,7 +15,7 @@ import numpy as np
 
 from kraft.driving.clearance import DeviationBound, Levels, Solvers, goal_region
 from kraft.driving.command_loss import CommandLoss
-from kraft.driving.contingencies import least_slack
+from kraft.driving.contingencies import is_resting, least_slack
 from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
@@ -312,9 +312,8 @@ class Proposer:
         safety, slack = checking.safety, self._slack(checking, root)
         if self._settings.on_board == "contingency":  # `slack` is that of the first disc that lacks clearance
             slack = min(slack, least_slack(checking, root[None, :], 0.0))
-        resting = all(abs(root[k]) <= safety.rest_speed for k in checking.vehicle.rest_indices)
         lacks = -safety.delta < slack < safety.delta_per_time * safety.delta_horizon
-        recovers = self._settings.recover and (resting or was_recovering) and lacks
+        recovers = self._settings.recover and (was_recovering or is_resting(checking, root)) and lacks
         if recovers:
             checking.set_delta(max(0.0, safety.delta + min(slack, 0.0) - RECOVERY_MARGIN))
         return recovers

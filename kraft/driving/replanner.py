@@ -43,6 +43,7 @@ from kraft.driving.messages import (  # fmt: skip
 )
 from kraft.driving.method import PlannerSettings
 from kraft.driving.proposer import RECOVERY_MARGIN, Proposal, Proposer
+from kraft.driving.rest import total_cost
 from kraft.driving.vehicle_model import VehicleModel, model_of
 from kraft.planning.workspace import displacement, pose_of, poses_of
 from ompl_ext.arrays import Floats
@@ -411,7 +412,7 @@ class Replanner:
         )
 
     def _nearest_free(self, state: Floats) -> Floats:
-        """Nearest collision-free state within 0.3 m: a vehicle that still drives has not collided."""
+        """Nearest collision-free state within `FARTHEST`: a vehicle that still drives has not collided."""
         if self._free_by(state) >= 0.0:
             return state
         return next((other for other in self._around(state, FARTHEST) if self._free_by(other) >= 0.0), state)
@@ -450,7 +451,7 @@ class Replanner:
             speed=float(estimate.state[vehicle.rest_indices[0]]),
             kind=decision.reference.kind,
             reason=decision.reason,
-            cost_to_goal=plan.cost + plan.cost_to_go if plan else math.inf,
+            cost_to_goal=total_cost(plan) if plan else math.inf,
             clearance=self.dirt.least_distance(poses),
             iterations=proposal.iterations,
             nodes=proposal.nodes,

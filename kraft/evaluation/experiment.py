@@ -187,6 +187,8 @@ TEXTS: Final = ("title", "description")
 """Keys of scenarios and methods that no result depends on."""
 SECTIONS: Final = ("scenarios", "methods", "vehicles")
 """Sections with one entry for each name."""
+ESTIMATION: Final = ("ranges", "gravity_share", "delay", "errors_by_speed")
+"""What of a vehicle only estimators use."""
 ROW_KEYS: Final = {"scenario", "method", "vehicle"}
 MISSING: Final = object()
 
@@ -197,7 +199,9 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
     vehicles = {cell.reference: vehicle_content(cell.vehicle, cell.reference) for cell in cells}
     labels = _labels({cell.reference: cell.vehicle.name for cell in cells})
     for reference, content in vehicles.items():
-        content["code"] = next(cell.vehicle.hash for cell in cells if cell.reference == reference)
+        vehicle = next(cell.vehicle for cell in cells if cell.reference == reference)
+        content["code"] = vehicle.hash
+        content |= {name: plain(getattr(vehicle, name)) for name in ESTIMATION}
         del content["reference"]  # the content of a file matters, not its path
     return {
         "schema": MANIFEST_SCHEMA,

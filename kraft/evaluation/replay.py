@@ -31,7 +31,7 @@ from typing import Any, Final
 import numpy as np
 
 from kraft.driving.messages import Cycle, PredictedMotion, Reference, as_driven
-from kraft.planning.workspace import workspace_of
+from kraft.planning.workspace import poses_of, workspace_of
 from kraft.text import finite
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
@@ -120,7 +120,7 @@ def _drive(spec: TrialSpec, result: TrialResult) -> dict[str, Any]:
     true = np.array([step.pose for step in steps])
     true[:, 2] = np.unwrap(true[:, 2])
     ahead = np.array([step.ahead for step in steps])
-    estimates = _poses(np.array([step.estimate for step in steps]), vehicle)
+    estimates = poses_of(np.array([step.estimate for step in steps]), vehicle)
     seen = np.array([o.time for o in result.observations])
     observed = np.array([(o.x, o.y, o.theta) for o in result.observations]).reshape(-1, 3)
     footprint = vehicle.footprint
@@ -146,12 +146,6 @@ def _drive(spec: TrialSpec, result: TrialResult) -> dict[str, Any]:
             for k in range(boxes.shape[1])
         ]
     return drive
-
-
-def _poses(states: Matrix, vehicle: Vehicle) -> Matrix:
-    """Poses (n, 3) of states; the heading is 0 for a vehicle without one."""
-    columns = [vehicle.index(name) for name in ("x", "y", "theta")]
-    return np.column_stack([states[:, k] if k >= 0 else np.zeros(len(states)) for k in columns])
 
 
 def _errors(times: Floats, poses: Matrix, ticks: Floats, true: Matrix, quanta: Sequence[float]) -> list[Any]:
@@ -209,7 +203,7 @@ def _line(reference: Reference, vehicle: Vehicle) -> list[Any]:
     first, last = np.ceil(reference.start / GRID - 1e-6), np.floor(reference.end / GRID + 1e-6)
     times = np.unique([reference.start, *(GRID * np.arange(first, last + 1)), reference.end])
     states = np.column_stack([np.interp(times, reference.times, column) for column in reference.states.T])
-    poses = _poses(states, vehicle)
+    poses = poses_of(states, vehicle)
     return [series(poses[:, k], POINT) for k in range(2)]
 
 
@@ -217,7 +211,7 @@ def _band(predicted: PredictedMotion, vehicle: Vehicle) -> dict[str, Any]:
     """Predicted poses within a cycle, and delta(v) if the method asks for a clearance."""
     count = max(2, round(float(predicted.times[-1] - predicted.times[0]) / GRID) + 1)
     times = np.linspace(predicted.times[0], predicted.times[-1], count)
-    poses = _poses(predicted.states, vehicle)
+    poses = poses_of(predicted.states, vehicle)
     poses[:, 2] = np.unwrap(poses[:, 2])
     band: dict[str, Any] = {
         "t": [round(float(times[0]), 3), round(float(times[-1]), 3)],

@@ -76,7 +76,7 @@ class SearchResult:
 
 
 Search = Callable[[DirtSolver, Floats, Budget, int, Previous | None], SearchResult]
-"""Search from a state with a budget and a seed.  The `Dirt` has the query and was started in the state."""
+"""Search from a state with a budget and a seed.  The solver has the query and was started in the state."""
 
 
 def search_named(planner: str) -> Search:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -134,14 +133,14 @@ def pose_text(x: float, y: float, heading: float) -> str:
     return f"({x:.3g}, {y:.3g}) heading {math.degrees(heading):.4g} deg"
 
 
-def vehicle_of_task(task: Task, parameters: Mapping[str, float] | None = None) -> Vehicle:
+def vehicle_of_task(task: Task) -> Vehicle:
     """Vehicle that a scenario names.
 
     Raises:
         InputError: as `load_vehicle`; problems of the reference are reported at its line.
     """
     try:
-        return load_vehicle(task.vehicle, Path(task.source.file).parent, parameters)
+        return load_vehicle(task.vehicle, Path(task.source.file).parent)
     except InputError as error:
         raise InputError(
             task.source.diagnostic("vehicle", d.problem, d.expected, code=d.code) if d.file == task.vehicle else d

@@ -61,7 +61,7 @@ KNOWN_ITERATIONS: Final = 25
 
 
 @dataclass(frozen=True)
-class CarModel:
+class IdentifiedCar:
     """The chosen model of a car with its parameters, and the models that it was chosen from."""
 
     base: BaseVehicle
@@ -70,7 +70,7 @@ class CarModel:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    model: CarModel
+    model: IdentifiedCar
     errors: Matrix
     """(logs, horizons) of logs that it was not fitted to, m; NaN where a log is too short to predict"""
 
@@ -88,7 +88,7 @@ def models_of_cars() -> tuple[str, ...]:
 
 def identify_car(
     logs: Sequence[Log], settings: Settings | None = None, on_iteration: OnIteration = ignore_iteration
-) -> CarModel:
+) -> IdentifiedCar:
     """Identify a car with the model that predicts logs best that it was not fitted to.
 
     Args:
@@ -151,16 +151,16 @@ def _screened(
     return _judged(replace(known, identification=identification), [logs[k] for k in _tests(logs)], settings)
 
 
-def _with_terms(logs: Sequence[Log], settings: Settings, on_iteration: OnIteration) -> CarModel:
+def _with_terms(logs: Sequence[Log], settings: Settings, on_iteration: OnIteration) -> IdentifiedCar:
     """The car with the terms that the logs need, commands in the range of the logs."""
     cars = [for_commands(load_base_vehicle(name), logs) for name in CARS]
     definitions = [each.definition for each in cars if isinstance(each.definition, VehicleConfig)]
     choice = identify_terms(definitions[0], logs, settings, on_iteration, definitions[1])
     base = next(each for each in cars if each.definition is choice.vehicle)
-    return CarModel(with_speed(base, choice.identification, logs), choice.identification)
+    return IdentifiedCar(with_speed(base, choice.identification, logs), choice.identification)
 
 
-def _known(name: str, logs: Sequence[Log], settings: Settings, on_iteration: OnIteration) -> CarModel | None:
+def _known(name: str, logs: Sequence[Log], settings: Settings, on_iteration: OnIteration) -> IdentifiedCar | None:
     """A known model, fitted; None if that is impossible, or if it has other parameters than the settings name."""
     base = load_base_vehicle(name)
     if not {*settings.values, *settings.frozen} <= set(base.vehicle.parameters):
@@ -170,10 +170,10 @@ def _known(name: str, logs: Sequence[Log], settings: Settings, on_iteration: OnI
         found = identify(base.definition, less, replace(settings, iterations=KNOWN_ITERATIONS), on_iteration)
     except (InputError, NegativeResult):  # a singular fit: the commands are not in this model's units
         return None
-    return CarModel(base, found)
+    return IdentifiedCar(base, found)
 
 
-def _judged(model: CarModel, logs: Sequence[Log], settings: Settings) -> _Candidate:
+def _judged(model: IdentifiedCar, logs: Sequence[Log], settings: Settings) -> _Candidate:
     """Errors of each usable log, predicted with the parameters that the others give; NaN of one too short for that."""
     identification = model.identification
     settings = identification.predicting(settings)

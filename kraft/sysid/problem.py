@@ -158,9 +158,9 @@ class NoiseModel:
         weights: Floats = self.threshold / np.maximum(self.distance(residuals, sigmas), self.threshold)
         return weights
 
-    def loss(self, residuals: Floats, sigmas: Floats | None = None) -> float:
+    def loss(self, residuals: Floats) -> float:
         """Sum of the Huber losses."""
-        return float(np.sum(self.losses(residuals, sigmas)))
+        return float(np.sum(self.losses(residuals)))
 
     def losses(self, residuals: Floats, sigmas: Floats | None = None) -> Floats:
         """(...) Huber loss of each pose: half the squared distance up to the threshold, then linear."""

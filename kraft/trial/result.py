@@ -256,7 +256,8 @@ class CauseKind(StrEnum):
     ESTIMATE_WRONG = "estimate wrong"
     """the car deviated, and at least half as much as its estimated pose was wrong by"""
     DEVIATION = "deviation"
-    """the car deviated from its prediction by more than the clearance, though it knew where it was"""
+    """the car deviated from its prediction by more than the clearance, or from its plan until its end, though it knew
+    where it was"""
     NO_PLAN = "no plan found"
     """in most cycles before a timeout the planner had no plan"""
     PLANS_REFUSED = "plans refused"

@@ -24,13 +24,14 @@ from kraft.vehicles.config import (
     Delay,
     Parameter,
     Robot,
+    SpeedPrediction,
     VehicleConfig,
     load_vehicle_config,
     with_files,
 )
 from kraft.vehicles.config import Footprint as StatedFootprint
 from kraft.vehicles.reference import VehicleProblem, is_code, resolve_vehicle, split_file
-from ompl_ext.vehicle import Footprint, Vehicle
+from ompl_ext.vehicle import Footprint, OpenLoopErrors, Vehicle
 
 
 def load_vehicle(reference: str, folder: Path | None = None, parameters: Mapping[str, float] | None = None) -> Vehicle:
@@ -121,8 +122,13 @@ def configured(config: VehicleConfig) -> Vehicle:
         ranges=config.ranges,
         gravity_share=config.gravity_share,
         delay=None if config.delay is None else (config.delay.value, config.delay.std),
+        errors_by_speed=() if config.identification is None else tuple(map(_errors, config.identification.by_speed)),
         file=config.source.file,
     )
+
+
+def _errors(of_speed: SpeedPrediction) -> OpenLoopErrors:
+    return OpenLoopErrors(of_speed.after, of_speed.along, of_speed.across, of_speed.yaw)
 
 
 def natural_robot(vehicle: Vehicle) -> tuple[Robot, Source]:

@@ -228,6 +228,18 @@ def test_a_changed_file_and_another_version_are_refused(tmp_path: Path) -> None:
     assert problems["methods.mine.content.controller.rate_hz"] == "was 30.0, is 10.0 now"
 
 
+def test_what_only_estimators_know_of_a_vehicle_is_compared(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    text = (ROOT / "configs/vehicles/mushr-force.yaml").read_text()
+    file.write_text(text)
+    run(tmp_path / "out", vehicle=str(file), observer=StoppingObserver(2))
+    file.write_text(text.replace("footprint:", "delay: {value: 0.1, std: 0.02}\nfootprint:"))
+    assert file.read_text() != text
+    with pytest.raises(InputError) as caught:
+        run(tmp_path / "out", vehicle=str(file), resume=True)
+    assert [each.path for each in caught.value.diagnostics] == ["vehicles.mushr-force.content.delay"]
+
+
 def test_a_full_disk_keeps_every_finished_trial(tmp_path: Path) -> None:
     run(tmp_path / "whole", trials=30)
     observer = StoppingObserver()

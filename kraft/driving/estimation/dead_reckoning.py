@@ -6,7 +6,6 @@ import math
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -14,7 +13,6 @@ import numpy as np
 from kraft.driving.messages import Estimate, Observation
 from kraft.driving.method import Adaptive, Latest
 from kraft.driving.vehicle_model import VehicleModel
-from kraft.vehicles.config import load_vehicle_config
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
@@ -65,15 +63,15 @@ class Commands:
 
 
 class DeadReckoning:
-    """Prediction from a known state at a time (s) with the recorded commands.
+    """Prediction from a known state, at first at time 0, with the recorded commands.
 
     Predictions continue from the latest one, so that their cost does not grow with the age of the known state.
     """
 
-    def __init__(self, advance: Advance, rest: Floats, time: float, state: Floats) -> None:
+    def __init__(self, advance: Advance, rest: Floats, state: Floats) -> None:
         self._advance = advance
         self.commands = Commands(rest)
-        self.reset(time, state)
+        self.reset(0.0, state)
 
     def reset(self, time: float, state: Floats, keep: float = math.inf) -> None:
         """Predict from `state` at `time` (s) from now on; keep the commands since `keep` (s) if that is earlier."""
@@ -120,7 +118,7 @@ class LatestPose:
 
     def __init__(self, settings: Latest, model: VehicleModel, start_state: Floats) -> None:
         self._model = model
-        self._reckoning = DeadReckoning(model.advance, model.rest, 0.0, start_state)
+        self._reckoning = DeadReckoning(model.advance, model.rest, start_state)
         self._newest_time = -math.inf
         self._window = settings.replanning_window
         self._window_poses: deque[tuple[float, Floats]] = deque()
@@ -169,13 +167,12 @@ def with_identified_drift(settings: Adaptive, vehicle: Vehicle) -> Adaptive:
     A random walk of the position by `drift` and one of the speed by `speed_drift` lead to the variance
     drift^2 t + speed_drift^2 t^3 / 3 along the vehicle.  The drives at the speed with the largest errors count.
     """
-    record = load_vehicle_config(Path(vehicle.file)).identification if vehicle.file else None
-    if record is None:
+    if not vehicle.errors_by_speed:
         return settings
     from scipy.optimize import nnls  # which takes a fifth of what a process of a drive loads
 
     drift, heading, speed = settings.drift, settings.heading_drift_deg, settings.speed_drift
-    for errors in record.by_speed:
+    for errors in vehicle.errors_by_speed:
         after, variance = np.array(errors.after), np.maximum(np.square(errors.along), np.square(errors.across))
         terms = np.column_stack([after, after**3 / 3.0])
         scale = 1.0 / np.maximum(variance, 1e-12)

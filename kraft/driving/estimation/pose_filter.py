@@ -156,7 +156,7 @@ class PoseFilter:
         mean = np.zeros(self._process_model.size)
         mean[: len(start_state)] = start_state
         self._posteriors = [Posterior(0.0, mean, np.diag(variance))]
-        self._reckoning = DeadReckoning(self._process_model.advance, model.rest, 0.0, mean)
+        self._reckoning = DeadReckoning(self._process_model.advance, model.rest, mean)
 
     @property
     def posterior(self) -> Posterior:
