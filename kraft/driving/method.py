@@ -122,7 +122,7 @@ class PlannerSettings(StrictModel):
     on_board: Literal["plan", "contingency"] = "plan"
     """what the car has on board beyond a cycle: the rest of the plan, or the contingency, tracked from its end on"""
     contingency: bool = True
-    """whether there are contingencies; without, safety, bound, recover, on_board, contingencies and watchdog do nothing"""
+    """whether there are contingencies; without, safety, bound, recover, on_board, contingencies, watchdog do nothing"""
     blocked: Seconds | None = None
     """time on a plan without motion after which what is ahead of the vehicle counts as an obstacle; none: never, s"""
     watchdog: Seconds | None = None
