@@ -252,7 +252,7 @@ class Adaptive(StrictModel):
     """time between two states of the identification, s"""
     iterations: Annotated[int, Field(ge=1, le=50)] = 2
     """largest number of iterations of the identification in a cycle; each cycle begins at the result of the last one"""
-    delay_std: Positive = 0.25
+    delay_std: Positive = 0.15
     """standard deviation of the prior of the delay, s"""
     position_noise: Positive = 0.04
     """standard deviation of an observed position before residuals are known, m"""
