@@ -24,7 +24,8 @@ from kraft.evaluation.report import Results, page, read_results, write_report
 from kraft.evaluation.report.elements import document, element, script_data
 from kraft.evaluation.report.entry import floor_plan
 from kraft.scenario import OccupancyMap, load_scenario
-from kraft.trial.result import TrialResult, TrialSpec
+from kraft.trial.measures import Kept, Measures
+from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft_cli.main import main
 from kraft_cli.work.run import run_command
 
@@ -143,6 +144,19 @@ def test_failed_trials_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     text = text_of(Tags(Path("out/report.html").read_text()))
     assert "1 trial failed, which is a defect in kraft" in text
     assert "seed 1: failed: ZeroDivisionError: no speed at all" in text
+
+
+def test_trials_that_take_no_time_and_never_deviate_give_a_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As with a start in the goal, and with the exact model."""
+
+    def at_once(spec: TrialSpec) -> TrialResult:
+        shares = Kept(ticks=2, held=2, delta_sum_m=0.0)
+        measures = Measures(plans=shares, deviation_mm=((0, 0),))
+        return replace(fake_trials.quick(spec), outcome=Outcome.SUCCESS, time=0.0, obstacle=None, measures=measures)
+
+    fake_trials.use(monkeypatch, at_once, inline=True)
+    evaluate(["parking"], ["kraft"], trials=2, seed=0, out="out")  # the paper has no times of it
+    assert "Deviation from the prediction" in text_of(Tags(Path("out/report.html").read_text(encoding="utf-8")))
 
 
 def test_what_did_not_succeed_is_listed_with_the_command_that_films_it() -> None:
