@@ -216,6 +216,16 @@ def test_a_plan_that_comes_too_late_is_dropped_in_real_time(monkeypatch: pytest.
     assert "planning took 5.000 s" in proposal.reason
 
 
+def test_a_path_of_a_geodesic_method_that_comes_too_late_is_dropped_in_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    subject = replanner(cycle=0.2, lead=0.0, type="geodesic")
+    subject._proposer._realtime = True
+    assert subject._proposer.propose(1, start(), None).plan is not None
+    late = itertools.chain([0.0], itertools.repeat(5.0))
+    monkeypatch.setattr("kraft.driving.proposer.clock.perf_counter", lambda: next(late))
+    proposal = subject._proposer.propose(2, start(), None)
+    assert (proposal.missed, proposal.plan, proposal.seconds) == (True, None, 5.0)
+
+
 @pytest.mark.parametrize("realtime", [False, True])
 def test_the_first_plan_which_is_made_before_the_drive_is_never_late(
     monkeypatch: pytest.MonkeyPatch, realtime: bool
