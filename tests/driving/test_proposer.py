@@ -216,7 +216,9 @@ def test_a_plan_that_comes_too_late_is_dropped_in_real_time(monkeypatch: pytest.
     assert "planning took 5.000 s" in proposal.reason
 
 
-def test_a_path_of_a_geodesic_method_that_comes_too_late_is_dropped_in_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_path_of_a_geodesic_method_that_comes_too_late_is_dropped_in_real_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     subject = replanner(cycle=0.2, lead=0.0, type="geodesic")
     subject._proposer._realtime = True
     assert subject._proposer.propose(1, start(), None).plan is not None
