@@ -413,6 +413,9 @@ class CarModel(VehicleModel):
         for steering in steerings:
             control = self.command(throttle, float(steering))
             before = self._steady_state(control)
+            if before[self.v] == 0.0:  # curvatures of 0 would make a table that cannot steer
+                problem = f"does not move at throttle {throttle:.3g} and steering {steering:.3g}"
+                raise InputError.of(self.vehicle.name, problem, "expected a speed above 0", Code.MISMATCH)
             curvature, slip = _turn(float(before[self.v]), *self.advance(before, control, MAX_STEP)[self.pose].tolist())
             curvatures.append(curvature)
             slips.append(slip)
@@ -426,12 +429,7 @@ class CarModel(VehicleModel):
 
 
 def _turn(speed: float, dx: float, dy: float, turn: float) -> tuple[float, float]:
-    """Curvature (1/m) and slip angle (rad) of a step of `MAX_STEP` s at a speed (m/s) from the origin.
-
-    Those of a car that stands are 0.
-    """
-    if speed == 0.0:
-        return 0.0, 0.0
+    """Curvature (1/m) and slip angle (rad) of a step of `MAX_STEP` s at a speed (m/s) from the origin."""
     return turn / (MAX_STEP * speed), math.remainder(math.atan2(dy, dx) - 0.5 * turn, math.tau)
 
 

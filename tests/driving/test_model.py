@@ -170,3 +170,13 @@ def test_a_car_that_seems_not_to_move_keeps_its_tables(parameters: dict[str, flo
     model.set_parameters(np.array(list({**model.vehicle.parameters, **parameters}.values())))
     assert [model.curvature(steering) for steering in (-0.2, 0.0, 0.3)] == before
     assert model.steering_for(before[0]) == pytest.approx(-0.2)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "where"),
+    [({"friction": 5.0}, "full throttle"), ({"dead_zone": 0.5, "friction": 2.0}, "steering")],
+)
+def test_a_car_that_does_not_move_has_no_model(parameters: dict[str, float], where: str) -> None:
+    with pytest.raises(InputError) as caught:
+        model_of(load_vehicle("car").with_parameters(parameters))
+    assert [(each.code, where in each.problem) for each in caught.value.diagnostics] == [(Code.MISMATCH, True)]
