@@ -13,8 +13,8 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from kraft.driving.clearance import Solvers
 from kraft.driving.method import PlannerSettings
+from kraft.driving.solvers import Solvers
 from kraft.errors import InputError
 from kraft.planning.workspace import start_state
 from kraft.scenario import Scenario, parse_scenario

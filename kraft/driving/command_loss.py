@@ -12,8 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.contingencies import is_resting, plan_reference
 from kraft.driving.messages import PredictedMotion
+from kraft.driving.prediction import is_resting
+from kraft.driving.references import plan_reference
 from kraft.driving.vehicle_model import braking_control
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan

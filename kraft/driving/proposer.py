@@ -1,7 +1,7 @@
 """Proposals for the replanner: a plan for the next cycle, or the reason why there is none.
 
 With a fixed clearance Alg. 1 runs with the method's margin first and, if it finds no plan, once more without it.  Where
-the bound of the deviation is measured, it runs at levels of clearance in turn, see `kraft.driving.clearance`.
+the bound of the deviation is measured, it runs at levels of clearance in turn, see `kraft.driving.levels`.
 """
 
 from __future__ import annotations
@@ -13,12 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kraft.driving.clearance import DeviationBound, Levels, Solvers, goal_region
+from kraft.driving.bound import DeviationBound
 from kraft.driving.command_loss import CommandLoss
-from kraft.driving.contingencies import is_resting, least_slack
 from kraft.driving.geodesic import geodesic_plan
+from kraft.driving.levels import Levels
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
+from kraft.driving.prediction import is_resting, least_slack
 from kraft.driving.rest import (  # fmt: skip
     CORRECTION_ATTEMPTS,
     RETAINED_TOLERANCE,
@@ -30,6 +31,7 @@ from kraft.driving.rest import (  # fmt: skip
     start_with_best_corrections,
     total_cost,
 )
+from kraft.driving.solvers import Solvers, goal_region
 from kraft.errors import Defect
 from kraft.text import counted
 from ompl_ext.arrays import Floats

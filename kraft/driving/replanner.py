@@ -16,19 +16,8 @@ from functools import partial
 import numpy as np
 
 from kraft.driving.blockage import Blockage
-from kraft.driving.clearance import BoundCalibration, DeviationBound, Solvers
-from kraft.driving.contingencies import (  # fmt: skip
-    ClosedLoopPredictor,
-    ContingencyRanking,
-    TrackedContingency,
-    contingency_reference,
-    emergency_reference,
-    holding_control,
-    is_resting,
-    least_slack,
-    plan_reference,
-    required_clearance,
-)
+from kraft.driving.bound import BoundCalibration, DeviationBound
+from kraft.driving.contingencies import ContingencyRanking, TrackedContingency, emergency_reference
 from kraft.driving.control import Controller
 from kraft.driving.messages import (  # fmt: skip
     Commitment,
@@ -42,8 +31,11 @@ from kraft.driving.messages import (  # fmt: skip
     Uncertainty,
 )
 from kraft.driving.method import PlannerSettings
+from kraft.driving.prediction import ClosedLoopPredictor, is_resting, least_slack, required_clearance
 from kraft.driving.proposer import RECOVERY_MARGIN, Proposal, Proposer
+from kraft.driving.references import contingency_reference, holding_control, plan_reference
 from kraft.driving.rest import total_cost
+from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import VehicleModel, model_of
 from kraft.planning.workspace import displacement, pose_of, poses_of
 from ompl_ext.arrays import Floats
@@ -437,7 +429,7 @@ class Replanner:
         """A motion with its bound, or with the clearance that SAFETY asks of it, if it asks for any."""
         if self._bound is not None:
             speeds = motion.states[:, self.dirt.vehicle.rest_indices[0]]
-            return replace(motion, delta=self._bound.at(motion.times - cycle_start, speeds))
+            return replace(motion, delta=self._bound.at(speeds, motion.times - cycle_start))
         if not self.dirt.safety.enabled:
             return motion
         return replace(motion, delta=required_clearance(self.dirt, motion.states))

@@ -17,13 +17,13 @@ from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, wait
 from typing import Any, Final
 
-from kraft.driving.clearance import Solvers
 from kraft.driving.control import make_controller, needs_map
 from kraft.driving.estimation import make_estimator
 from kraft.driving.estimation.adaptive import AdaptiveEstimator
 from kraft.driving.messages import Cycle, Estimate
 from kraft.driving.method import Method, Oracle
 from kraft.driving.replanner import Replanner
+from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import model_of
 from kraft.errors import Code, Diagnostic, InputError, KraftError
 from kraft.robot.connect import check_transport

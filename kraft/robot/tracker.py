@@ -10,12 +10,13 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.contingencies import OnBoard, manoeuvre_reference
 from kraft.driving.control import make_controller
 from kraft.driving.estimation import make_estimator
 from kraft.driving.estimation.adaptive import AdaptiveEstimator, Learned
 from kraft.driving.messages import Commitment, Estimate, Observation, Reference, ReferenceKind
 from kraft.driving.method import Oracle
+from kraft.driving.on_board import OnBoard
+from kraft.driving.references import manoeuvre_reference
 from kraft.driving.vehicle_model import model_of
 from kraft.planning.workspace import pose_of
 from kraft.robot.command import CommandCodec

@@ -13,13 +13,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from kraft.driving.clearance import Solvers
-from kraft.driving.contingencies import OnBoard
 from kraft.driving.control import make_controller
 from kraft.driving.estimation import Estimator, make_estimator
 from kraft.driving.messages import Commitment, Cycle, Observation
 from kraft.driving.method import Oracle
+from kraft.driving.on_board import OnBoard
 from kraft.driving.replanner import Replanner
+from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import model_of
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.true_world import TrueWorld, world_of

@@ -9,14 +9,8 @@ import numpy as np
 import pytest
 from support.replanner import mushr, proposals, replanner, start
 
-from kraft.driving.clearance import (
-    HYSTERESIS,
-    STEADY,
-    UNCORRECTED,
-    BoundCalibration,
-    DeviationBound,
-    radius_quantiles,
-)
+from kraft.driving.bound import UNCORRECTED, BoundCalibration, DeviationBound, radius_quantiles
+from kraft.driving.levels import HYSTERESIS, STEADY
 from kraft.driving.messages import Commitment, Estimate, PredictedMotion, ReferenceKind, Uncertainty
 from kraft.driving.method import CalibratedBound
 from kraft.driving.proposer import Proposal
@@ -81,10 +75,10 @@ def test_the_clearance_is_nowhere_less_than_the_parts_of_the_bound_together_and_
     bound = DeviationBound(0.15, 0.2, 0.06, 1.5, fastest=0.7)
     since, speeds = (each.ravel() for each in np.meshgrid(np.linspace(0.0, 1.5, 16), np.linspace(0.0, 0.7, 15)))
     together = np.sqrt(0.15**2 + (0.2 * speeds) ** 2 + (0.06 * since) ** 2)
-    assert (bound.at(since, speeds) >= together - 1e-12).all()
+    assert (bound.at(speeds, since) >= together - 1e-12).all()
     alone = ((since == 0.0) & np.isin(speeds, [0.0, 0.7])) | ((speeds == 0.0) & np.isin(since, [0.0, 1.5]))
-    assert bound.at(since, speeds)[alone] == pytest.approx(together[alone])
-    assert bound.at(since, speeds).max() < 0.15 + 0.2 * 0.7 + 0.06 * 1.5
+    assert bound.at(speeds, since)[alone] == pytest.approx(together[alone])
+    assert bound.at(speeds, since).max() < 0.15 + 0.2 * 0.7 + 0.06 * 1.5
 
 
 def test_without_an_error_of_the_pose_the_clearance_is_that_of_speed_and_time() -> None:
@@ -114,8 +108,8 @@ def test_delta_grows_with_time_until_the_horizon_and_with_speed_in_both_directio
     since, speeds = np.array([-1.0, 0.0, 1.0, 1.5, 9.0]), np.array([0.0, 0.5, -0.5, 0.0, 0.0])
     grown = math.hypot(0.1, 0.06)
     expected = [0.1, 0.2, 0.2 + (grown - 0.1) / 1.5, grown, grown]
-    assert bound.at(since, speeds) == pytest.approx(expected)  # of any speed: nothing is spared for it
-    assert bound.scaled(0.5).at(since, speeds) == pytest.approx(0.5 * bound.at(since, speeds))
+    assert bound.at(speeds, since) == pytest.approx(expected)  # of any speed: nothing is spared for it
+    assert bound.scaled(0.5).at(speeds, since) == pytest.approx(0.5 * bound.at(speeds, since))
 
 
 # Calibration
@@ -135,7 +129,7 @@ def test_the_scale_rises_after_large_deviations_and_falls_after_small_ones_withi
 def test_deviations_as_large_as_expected_lead_to_a_scale_of_one() -> None:
     """Also where the vehicle is turned: its farthest corner counts."""
     unscaled = BoundCalibration(SETTINGS, mushr()).bound(uncertainty()).scaled(1.0 / SETTINGS.initial)
-    expected = SETTINGS.expected_ratio * float(unscaled.at(np.array([1.0]), np.array([0.5]))[0])
+    expected = SETTINGS.expected_ratio * float(unscaled.at(np.array([0.5]), np.array([1.0]))[0])
     assert calibrated(expected, 300).factor == pytest.approx(1.0, abs=0.01)
     turned = BoundCalibration(SETTINGS, mushr())
     for _ in range(300):
@@ -170,7 +164,7 @@ def test_the_first_plan_keeps_the_bound_of_the_estimate_at_the_start() -> None:
     subject.begin(start(), uncertainty())
     plan = subject._proposal.plan
     assert plan is not None
-    needed = BoundCalibration(SHARES, mushr()).bound(uncertainty()).at(plan.times, plan.trajectory[:, 3])
+    needed = BoundCalibration(SHARES, mushr()).bound(uncertainty()).at(plan.trajectory[:, 3], plan.times)
     assert (subject.dirt.exact.distances(plan.trajectory[:, :3]) >= needed - 1e-6).all()
     estimate = Estimate(0.0, start(), 0.0, uncertainty=uncertainty())
     assert subject.decide(estimate, Commitment(subject._standing(start(), 0.0))).kind is ReferenceKind.PLAN
@@ -248,7 +242,7 @@ def test_the_recorded_delta_is_the_full_bound_also_where_the_plan_keeps_a_share(
     assert bound is not None
     assert last.predicted.delta is not None
     speeds = last.predicted.states[:, 3]
-    assert last.predicted.delta == pytest.approx(bound.at(last.predicted.times - last.time, speeds))
+    assert last.predicted.delta == pytest.approx(bound.at(speeds, last.predicted.times - last.time))
     assert last.predicted.delta[0] > 1.5 * subject.dirt.safety.delta
 
 

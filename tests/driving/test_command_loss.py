@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from support.replanner import replanner, start, turns
 
-from kraft.driving.clearance import Solvers
 from kraft.driving.command_loss import CommandLoss
 from kraft.driving.messages import Estimate, PredictedMotion, ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.proposer import Proposer
+from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import braking_control
 from kraft.planning.workspace import poses_of
 from kraft.vehicles.load import load_vehicle

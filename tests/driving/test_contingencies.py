@@ -10,15 +10,11 @@ import pytest
 from support.replanner import FARSIGHTED, replanner, start
 
 from kraft.driving import contingencies
-from kraft.driving.contingencies import (
-    ContingencyRanking,
-    TrackedContingency,
-    contingency_reference,
-    plan_reference,
-    required_clearance,
-)
+from kraft.driving.contingencies import ContingencyRanking, TrackedContingency
 from kraft.driving.control import Controller, KinodynamicController
 from kraft.driving.messages import Commitment, ContingencyOrigin, Estimate, Reference, ReferenceKind
+from kraft.driving.prediction import required_clearance
+from kraft.driving.references import contingency_reference, plan_reference
 from kraft.driving.replanner import Replanner
 from ompl_ext.arrays import Floats
 

@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 from support.replanner import mushr, proposals, replanner, start, turns
 
-from kraft.driving.clearance import (
+from kraft.driving.bound import LATER_DELAY, LATER_DELTA, LATER_GROWTH, BoundCalibration, DeviationBound
+from kraft.driving.levels import (
     HYSTERESIS,
     INSISTENCE,
     KNOWN_DELAY,
-    LATER_DELAY,
-    LATER_DELTA,
-    LATER_GROWTH,
     NARROW,
     NEAR,
     PAUSE,
@@ -25,11 +23,8 @@ from kraft.driving.clearance import (
     PROGRESS_TIME,
     SOON,
     STEADY,
-    BoundCalibration,
-    DeviationBound,
     Level,
     Levels,
-    Solvers,
     levels_of,
 )
 from kraft.driving.messages import Uncertainty
@@ -46,6 +41,7 @@ from kraft.driving.proposer import (
 )
 from kraft.driving.replanner import Replanner
 from kraft.driving.rest import RETAINED_TOLERANCE, total_cost
+from kraft.driving.solvers import Solvers
 from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver
 
@@ -170,7 +166,7 @@ def test_the_later_part_of_a_plan_keeps_what_the_bound_is_expected_to_be_then() 
     subject = levels()
     subject.bound = DeviationBound(0.2, 0.4, 0.3, 1.5)
     later = subject.bound.later
-    assert later.at(np.zeros(1), np.ones(1)) == pytest.approx(math.hypot(0.2, 1.5 * LATER_GROWTH) + LATER_DELAY)
+    assert later.at(np.ones(1), np.zeros(1)) == pytest.approx(math.hypot(0.2, 1.5 * LATER_GROWTH) + LATER_DELAY)
     safety = subject.set(1, eased=False).safety
     assert (safety.near, safety.far_delta_per_speed) == (NEAR, LATER_DELAY)
     assert safety.far_delta == pytest.approx(0.5 * later.delta + MARGIN)
@@ -180,7 +176,7 @@ def test_the_later_part_of_a_plan_keeps_what_the_bound_is_expected_to_be_then() 
 def test_the_bound_that_is_expected_later_is_no_larger_than_it_is_now_but_for_the_least_error_of_a_pose() -> None:
     now = DeviationBound(0.15, 0.05, 0.02, 1.5)
     times, speeds = np.full(2, 1.5), np.array([0.0, 0.7])
-    assert now.later.at(times, speeds) == pytest.approx(now.at(times, speeds))
+    assert now.later.at(speeds, times) == pytest.approx(now.at(speeds, times))
     assert DeviationBound(0.01).later.delta == LATER_DELTA
 
 
@@ -425,7 +421,7 @@ def test_the_first_plan_keeps_the_bound_of_the_stated_uncertainty() -> None:
     subject.begin(start(), UNCERTAIN)
     plan = subject._proposal.plan
     assert plan is not None
-    needed = MARGIN + subject._proposal.kept * expected.at(plan.times, plan.trajectory[:, 3])
+    needed = MARGIN + subject._proposal.kept * expected.at(plan.trajectory[:, 3], plan.times)
     assert np.all(subject.dirt.exact.distances(plan.trajectory[:, :3]) >= needed - 1e-9)
 
 

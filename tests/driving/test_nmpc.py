@@ -15,14 +15,14 @@ import pytest
 from support.diagnostics import raised
 from support.replanner import mushr, start, turns
 
-from kraft.driving.clearance import Solvers
-from kraft.driving.contingencies import contingency_reference, plan_reference
 from kraft.driving.control import make_controller
 from kraft.driving.control.nmpc import NmpcController, symbolic_derivative_of
 from kraft.driving.control_settings import Kinodynamic, Nmpc
 from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.method import PlannerSettings
+from kraft.driving.references import contingency_reference, plan_reference
+from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, MissingDependency
 from kraft.planning.workspace import pose_of

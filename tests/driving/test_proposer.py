@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from support.replanner import BESIDE_THE_WALL, FARSIGHTED, MARGIN, drive, mushr, replanner, start, turns
 
-from kraft.driving.clearance import MIN_GOAL_RADIUS, Solvers, goal_region
 from kraft.driving.messages import ReferenceKind, Uncertainty
 from kraft.driving.method import CalibratedBound, Clearance, PlannerSettings
 from kraft.driving.proposer import RECOVERY_MARGIN
+from kraft.driving.solvers import MIN_GOAL_RADIUS, Solvers, goal_region
 from kraft.errors import Defect
 from kraft.planning.workspace import goal_of
 from kraft.scenario import load_scenario

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from support.replanner import FARSIGHTED, MARGIN, drive, mushr, replanner, start, turns
 
-from kraft.driving.clearance import Solvers
 from kraft.driving.contingencies import emergency_reference
 from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Geometric
 from kraft.driving.messages import Commitment, ContingencyOrigin, Cycle, Estimate, ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.replanner import NEARBY, Replanner
+from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import CarModel
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import box

@@ -13,8 +13,7 @@ import pytest
 from support.diagnostics import raised
 from support.replanner import drive, mushr, start, turns
 
-from kraft.driving.clearance import DeviationBound, Solvers
-from kraft.driving.contingencies import contingency_reference, plan_reference
+from kraft.driving.bound import DeviationBound
 from kraft.driving.control import make_controller, sampling
 from kraft.driving.control.sampling import DwaController, MppiController, Rollouts, Updates, updated
 from kraft.driving.control_settings import Dwa, Kinodynamic, Mppi, Nmpc
@@ -22,7 +21,9 @@ from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings, load_method
 from kraft.driving.proposer import Proposer
+from kraft.driving.references import contingency_reference, plan_reference
 from kraft.driving.replanner import Replanner
+from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
 from kraft.planning.workspace import pose_of

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from support.replanner import FARSIGHTED, drive, mushr, replanner, start
 
-from kraft.driving.clearance import Solvers
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
 from kraft.driving.proposer import Proposal, Proposer, _is_better
 from kraft.driving.rest import Rest, goes_same_way, total_cost
+from kraft.driving.solvers import Solvers
 from kraft.planning.workspace import start_state
 from kraft.scenario import Task, load_scenario
 from ompl_ext.arrays import Floats

@@ -9,20 +9,15 @@ import numpy as np
 import pytest
 from support.replanner import FARSIGHTED, MARGIN, mushr, replanner, start
 
-from kraft.driving.contingencies import (
-    OnBoard,
-    emergency_reference,
-    holding_control,
-    manoeuvre_reference,
-    plan_reference,
-    stop_control,
-)
+from kraft.driving.contingencies import emergency_reference
 from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Kinodynamic
 from kraft.driving.messages import Commitment, Estimate, Reference, ReferenceKind
 from kraft.driving.method import PlannerSettings
+from kraft.driving.on_board import OnBoard
+from kraft.driving.references import holding_control, manoeuvre_reference, plan_reference
 from kraft.driving.replanner import Replanner
-from kraft.driving.vehicle_model import CarModel, model_of
+from kraft.driving.vehicle_model import CarModel, model_of, stop_control
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan

@@ -46,8 +46,8 @@ def test_vehicles_move_stop_and_arrive(episodes: list[Episode]) -> None:
 
 def test_without_the_check_before_a_cycle_the_hostile_world_hits(monkeypatch: pytest.MonkeyPatch) -> None:
     def trusting(self: Replanner, root, begins, estimate, current):  # type: ignore[no-untyped-def]
-        from kraft.driving.contingencies import plan_reference
         from kraft.driving.messages import Commitment
+        from kraft.driving.references import plan_reference
         from kraft.driving.replanner import Decision
 
         plan = self._proposal.plan

@@ -12,22 +12,7 @@ from pydantic.fields import FieldInfo
 from support.paths import ROOT
 
 from kraft.config import bundled
-from kraft.driving.clearance import (
-    COVER_EXCESS,
-    HYSTERESIS,
-    INSISTENCE,
-    KNOWN_DELAY,
-    LATER_DELAY,
-    LATER_DELTA,
-    LATER_GROWTH,
-    NARROW,
-    NEAR,
-    PAUSE,
-    PROGRESS,
-    PROGRESS_TIME,
-    SOON,
-    STEADY,
-)
+from kraft.driving.bound import LATER_DELAY, LATER_DELTA, LATER_GROWTH
 from kraft.driving.control_settings import Dwa, Geometric, Kinodynamic, Lqr, Mppi, Nmpc, Predictive, RolloutCost
 from kraft.driving.estimation.adaptive import MOVED_AFTER, PASSING_FORCE, PASSING_TIME, SIGNIFICANT, SLOW
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
@@ -41,6 +26,18 @@ from kraft.driving.estimation.sliding_window import (
     SEEN_DEVIATIONS,
     SEEN_WAY,
 )
+from kraft.driving.levels import (
+    HYSTERESIS,
+    INSISTENCE,
+    KNOWN_DELAY,
+    NARROW,
+    NEAR,
+    PAUSE,
+    PROGRESS,
+    PROGRESS_TIME,
+    SOON,
+    STEADY,
+)
 from kraft.driving.method import Adaptive, CalibratedBound, Clearance, Filter, Method, PlannerSettings, load_method
 from kraft.driving.proposer import (
     DETOUR,
@@ -53,6 +50,7 @@ from kraft.driving.proposer import (
 )
 from kraft.driving.replanner import NEARBY, ROOM
 from kraft.driving.rest import ATTEMPT_TOLERANCE, CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
+from kraft.driving.solvers import COVER_EXCESS
 from kraft.scenario import Sensing
 from kraft.simulation.camera import BLURRED_SPEED, PRESETS
 

@@ -7,13 +7,14 @@ from functools import cache
 
 import numpy as np
 
-from kraft.driving.clearance import DeviationBound, Solvers
+from kraft.driving.bound import DeviationBound
 from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Kinodynamic, OpenLoop
 from kraft.driving.messages import Cycle, Estimate, Uncertainty
 from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.proposer import Proposal
 from kraft.driving.replanner import Replanner
+from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import CarModel
 from kraft.planning.workspace import start_state
 from kraft.scenario import Task, load_scenario

@@ -1,0 +1,95 @@
+"""What the car has on board, and the watchdog that stops it without poses or messages.
+
+The car tracks its newest message, which is a plan until the end of its cycle and a contingency after it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from kraft.driving.messages import Commitment, Estimate, Reference, ReferenceKind
+from kraft.driving.method import PlannerSettings
+from kraft.driving.references import manoeuvre_reference
+from kraft.driving.vehicle_model import VehicleModel, braking_control
+from ompl_ext.arrays import Floats
+from ompl_ext.query import Safety
+
+
+class OnBoard:
+    """Commitment that the car tracks, and the watchdog.
+
+    The watchdog intervenes if the newest observation is too old, or if the car is on a plan and no message has arrived
+    for longer than a cycle and the watchdog's time.  The car then brakes from where it believes to be, with
+    the wheels as they are, until a message arrives that was decided after that, with a recent observation.
+    """
+
+    def __init__(self, settings: PlannerSettings, safety: Safety, model: VehicleModel, commitment: Commitment) -> None:
+        """Begin with the `commitment` of the replanner's `begin`; `safety` defines standstill."""
+        self._limit = math.inf if settings.watchdog is None else settings.watchdog
+        self._silence = settings.cycle + self._limit
+        self._safety, self._model = safety, model
+        self.commitment, self._arrived, self._stopped = commitment, math.inf, -math.inf
+        self.stops = 0
+        self.is_stopping = False
+
+    def receive(self, commitment: Commitment, estimate: Estimate) -> None:
+        """Take a message; a car that the watchdog stops refuses it if it is older than the stop, or poses are."""
+        if self.is_stopping and (commitment.decided < self._stopped or self._is_blind(estimate)):
+            return
+        self.mirror(commitment, estimate.time)
+
+    def mirror(self, commitment: Commitment, time: float) -> None:
+        """Have on board what another computer of the car has on board since `time` (s)."""
+        self.commitment, self._arrived, self.is_stopping = commitment, time, False
+
+    def reference(self, estimate: Estimate) -> Reference:
+        """Reference to track at the time of the estimate."""
+        reference = self.commitment.reference_at(estimate.time)
+        if self._must_stop(estimate, reference):
+            self.stops += 1
+            self.is_stopping, self._stopped = True, estimate.time
+            reference = self._stop_from(estimate, reference)
+            self.commitment = Commitment(reference, decided=estimate.time)
+        return reference
+
+    def stop(self, estimate: Estimate) -> None:
+        """Stop the car for a reason of its own, as the watchdog does; later messages let it drive on."""
+        reference = self.commitment.reference_at(estimate.time)
+        self.is_stopping, self._stopped = True, estimate.time
+        if not self._stops_already(estimate, reference):
+            self.stops += 1
+            self.commitment = Commitment(self._stop_from(estimate, reference), decided=estimate.time)
+
+    def _stops_already(self, estimate: Estimate, reference: Reference) -> bool:
+        """Whether the car brakes on a reference at the time of the estimate, or stands."""
+        return reference.kind is ReferenceKind.CONTINGENCY and (
+            reference.stop is None or estimate.time >= reference.stop.begin - 1e-9
+        )
+
+    def _must_stop(self, estimate: Estimate, reference: Reference) -> bool:
+        if self._stops_already(estimate, reference):
+            return False
+        silent = reference.kind is ReferenceKind.PLAN and estimate.time - self._arrived > self._silence + 1e-9
+        return silent or self._is_blind(estimate)
+
+    def _is_blind(self, estimate: Estimate) -> bool:
+        """Whether the newest observation is too old; at time 0 the car knows where it stands."""
+        return min(estimate.age, estimate.time) > self._limit + 1e-9
+
+    def _stop_from(self, estimate: Estimate, reference: Reference) -> Reference:
+        """Braking from the estimated state with the wheels as the reference has them now.
+
+        On a robot each moment of a cycle is examined for that, as for a loss of commands, but not for other manoeuvres.
+        """
+        held, vehicle, safety = reference.control_at(estimate.time), self._model.present_vehicle, self._safety
+        rest, states = list(vehicle.rest_indices), [np.asarray(estimate.state, dtype=float)]
+        controls = list[Floats]()
+        while np.any(np.abs(states[-1][rest]) > safety.rest_speed) and len(states) * safety.step <= safety.horizon:
+            controls.append(braking_control(vehicle, states[-1], held))
+            states.append(self._model.advance(states[-1], controls[-1], safety.step))
+        times: Floats = estimate.time + safety.step * np.arange(len(states), dtype=float)
+        straight = manoeuvre_reference(vehicle, 0, times, np.array(states))
+        return replace(straight, controls=np.array(controls).reshape(straight.controls.shape))

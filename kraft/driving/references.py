@@ -1,0 +1,58 @@
+"""References for the controller: of plans and of manoeuvres, with the control that holds the vehicle at their end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from kraft.driving.messages import Reference, ReferenceKind, Stop
+from kraft.driving.vehicle_model import stop_control
+from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.plan import Contingency, Plan
+from ompl_ext.vehicle import Vehicle
+
+
+def plan_reference(vehicle: Vehicle, plan: Plan, start: float, cycle: float = 0.0) -> Reference:
+    """Reference of a plan that starts at `start` s of the trial; after its end the vehicle is held.
+
+    A plan that ends within its `cycle` (s), in the goal, is followed by its contingency: the vehicle may be fast there.
+    """
+    edges = np.searchsorted(np.cumsum(plan.durations), plan.times[:-1] + 1e-9, side="right")
+    controls = plan.controls[np.minimum(edges, max(0, len(plan.durations) - 1))]
+    rest = holding_control(vehicle, plan.trajectory[-1])
+    reference = Reference(ReferenceKind.PLAN, start + plan.times, plan.trajectory, controls, rest)
+    if plan.contingency is None or plan.cost >= cycle:
+        return reference
+    stop = contingency_reference(vehicle, plan.contingency)
+    return replace(
+        reference,
+        times=np.concatenate([reference.times, reference.end + stop.times[1:] - stop.start]),
+        states=np.vstack([reference.states, stop.states[1:]]),
+        controls=np.vstack([controls, stop.controls]),
+        rest=stop.rest,
+    )
+
+
+def contingency_reference(vehicle: Vehicle, contingency: Contingency) -> Reference:
+    """Reference of a contingency whose times are those of the trial (s); after its end the car is held."""
+    number = vehicle.manoeuvres.index(contingency.manoeuvre)
+    return manoeuvre_reference(vehicle, number, contingency.times, contingency.states)
+
+
+def manoeuvre_reference(vehicle: Vehicle, number: int, times: Floats, states: Matrix) -> Reference:
+    """Reference of manoeuvre `number` with states (m, nx) at `times` (m,) s; after its end the car is held."""
+    controls = np.array([stop_control(vehicle, state, number) for state in states[:-1]])
+    controls = controls.reshape(-1, len(vehicle.controls))
+    rest = holding_control(vehicle, states[-1])
+    return Reference(ReferenceKind.CONTINGENCY, times, states, controls, rest, Stop(number, float(times[0])))
+
+
+def holding_control(vehicle: Vehicle, state: Floats) -> Floats:
+    """Control (nu,) that holds a vehicle that stands: on level ground zero, against a force the throttle against it.
+
+    It is the first manoeuvre's at a speed of 0: brakes that stay on would push a standing car backwards.
+    """
+    standing = np.array(state, dtype=float)
+    standing[list(vehicle.rest_indices)] = 0.0
+    return stop_control(vehicle, standing, 0) + 0.0  # without negative zeros
