@@ -13,8 +13,10 @@ from support.adaptive import BEGIN, OTHER, correlated, driven, exciting, pose_at
 from support.driving import RATE
 
 from kraft.driving.estimation import make_estimator
-from kraft.driving.estimation.adaptive import MOVED_AFTER, SIGNIFICANT, AdaptiveEstimator, online_parameters
+from kraft.driving.estimation.adaptive import AdaptiveEstimator, online_parameters
+from kraft.driving.estimation.correlated_filter import MOVED_AFTER
 from kraft.driving.estimation.pose_filter import ProcessModel
+from kraft.driving.estimation.sliding_window import SIGNIFICANT
 from kraft.driving.messages import Estimate, Observation
 from kraft.driving.method import Adaptive
 from kraft.driving.vehicle_model import CarModel

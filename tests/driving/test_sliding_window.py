@@ -22,7 +22,9 @@ from support.adaptive import (
 )  # fmt: skip
 from support.driving import RATE
 
-from kraft.driving.estimation.sliding_window import Drive, DriveHistory, Identified, NoiseEstimate
+from kraft.driving.estimation.drive_history import Drive, DriveHistory
+from kraft.driving.estimation.pose_noise import NoiseEstimate
+from kraft.driving.estimation.sliding_window import Identified
 from kraft.driving.vehicle_model import CarModel
 from kraft.sysid.interface import Noise
 

@@ -12,7 +12,8 @@ from support.driving import RATE
 
 from kraft.driving.estimation import CameraModel
 from kraft.driving.estimation.adaptive import HOLDS, AdaptiveEstimator, Learned, online_parameters
-from kraft.driving.estimation.sliding_window import Drive, Identified
+from kraft.driving.estimation.drive_history import Drive
+from kraft.driving.estimation.sliding_window import Identified
 from kraft.driving.estimation.sloping_floor import SLOPE, ConstantOfDrive, slope_deviations, slope_told
 from kraft.driving.method import Adaptive
 from kraft.driving.vehicle_model import CarModel

@@ -14,18 +14,12 @@ from support.paths import ROOT
 from kraft.config import bundled
 from kraft.driving.bound import LATER_DELAY, LATER_DELTA, LATER_GROWTH
 from kraft.driving.control_settings import Dwa, Geometric, Kinodynamic, Lqr, Mppi, Nmpc, Predictive, RolloutCost
-from kraft.driving.estimation.adaptive import MOVED_AFTER, PASSING_FORCE, PASSING_TIME, SIGNIFICANT, SLOW
+from kraft.driving.estimation.adaptive import PASSING_FORCE, PASSING_TIME, SLOW
+from kraft.driving.estimation.correlated_filter import MOVED_AFTER
 from kraft.driving.estimation.dead_reckoning import DELAY_MAX
-from kraft.driving.estimation.sliding_window import (
-    DRIVE_MAX,
-    LAG,
-    NOTICED,
-    PRIOR_CORRELATION,
-    PRIOR_SAMPLES,
-    SEEN,
-    SEEN_DEVIATIONS,
-    SEEN_WAY,
-)
+from kraft.driving.estimation.drive_history import DRIVE_MAX, SEEN, SEEN_DEVIATIONS, SEEN_WAY
+from kraft.driving.estimation.pose_noise import LAG, PRIOR_CORRELATION, PRIOR_SAMPLES
+from kraft.driving.estimation.sliding_window import NOTICED, SIGNIFICANT
 from kraft.driving.levels import (
     HYSTERESIS,
     INSISTENCE,

@@ -9,7 +9,8 @@ from functools import cache
 import numpy as np
 
 from kraft.driving.estimation.adaptive import online_parameters
-from kraft.driving.estimation.sliding_window import Drive, SlidingWindow
+from kraft.driving.estimation.drive_history import Drive
+from kraft.driving.estimation.sliding_window import SlidingWindow
 from kraft.driving.messages import Observation
 from kraft.driving.method import Adaptive
 from kraft.driving.vehicle_model import CarModel

@@ -16,12 +16,12 @@ import numpy as np
 
 from kraft.driving.estimation.dead_reckoning import DeadReckoning
 from kraft.driving.messages import Estimate, Observation, PoseBelief
-from kraft.driving.method import Filter
+from kraft.driving.method import Adaptive, Filter
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Defect
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels.moments import Motion, moments
-from ompl_ext.kernels.pose_fusion import FLOOR_SIZE, WORK, Sensor, pose_fusion
+from ompl_ext.kernels.pose_fusion import WORK, Sensor, pose_fusion
 from ompl_ext.kernels.specialise import kernels
 
 MAX_HISTORY: Final = 32
@@ -133,7 +133,11 @@ class PoseFilter:
     horizon: Final = 0.0
 
     def __init__(
-        self, settings: Filter, model: VehicleModel, start_state: Floats, process_model: ProcessModel | None = None
+        self,
+        settings: Filter | Adaptive,
+        model: VehicleModel,
+        start_state: Floats,
+        process_model: ProcessModel | None = None,
     ) -> None:
         self._model = model
         self._process_model = process_model or ProcessModel(model)
@@ -276,8 +280,3 @@ def _chi_limit(confidence: float) -> float:
     from scipy.special import gammaincinv  # which takes a tenth of what a trial imports
 
     return math.sqrt(2.0 * float(gammaincinv(1.5, confidence)))
-
-
-CORRELATED, OFFSET, FLOOR = slice(0, 3), slice(3, 6), slice(6, 6 + FLOOR_SIZE)
-"""Parts of the pose error, and the floor that it depends on, within the last components of the filter's state."""
-ERRORS: Final = FLOOR.stop
