@@ -31,6 +31,7 @@ from kraft.driving.rest import (  # fmt: skip
     start_with_best_corrections,
     total_cost,
 )
+from kraft.driving.search_budget import SearchBudget
 from kraft.driving.solvers import Solvers, goal_region
 from kraft.errors import Defect
 from kraft.text import counted
@@ -43,8 +44,6 @@ from ompl_ext.verification import verify
 
 RECOVERY_MARGIN = 0.005  # by which the required clearance of a recovery is below the present one (m)
 STALLED = 0.5  # cost by which a plan exceeds what was left of the last one if there is no progress (s)
-CONVERGED = 0.1  # fall of the best cost during a quarter of the iterations below which a search has converged (s)
-PATIENCE = 0.4  # share of the iterations after which a search without a way to the goal ends
 LEVEL_GAIN = 0.1  # share of its cost that a plan must save to keep less clearance
 LEAST_GAIN = 0.2  # that it must save at least, and that suffices where plans would get more expensive otherwise (s)
 DETOUR = 1.0  # cost of a plan beyond the cost-to-go from which on plans that keep less clearance are tried (s)
@@ -53,7 +52,6 @@ PROBES = 2  # attempts at retaining a rest at a level before it is searched at
 PROBES_HIGHER = 4  # the same when it is searched at a level above that of the last plan, whose rest is the fallback
 LOSS_CANDIDATES = 20  # plans of a tree that are examined for room for a loss of commands, if the best one has none
 LEVEL_TIME = 0.15  # share of the remaining time in which a search finds a way at a level, by the clock
-RESERVED_TIME = 0.2  # share of the time of a cycle that is left for other levels, by the clock
 
 
 @dataclass(frozen=True)
@@ -128,11 +126,12 @@ class Proposer:
         """whether the last proposal is for a vehicle that leaves a place with less clearance than required"""
         self._levels = Levels(solvers, settings)
         self._grown: _Grown | None = None
-        self._budget = 0  # iterations of the cycle's largest budget that are left
+        self._budget = SearchBudget(settings, realtime)
 
     def set_settings(self, settings: PlannerSettings) -> None:
         """Use settings with another budget from the next proposal on."""
         self._settings = settings
+        self._budget = SearchBudget(settings, self._realtime)
 
     def propose(self, number: int, root: Floats, previous: Plan | None) -> Proposal:
         """Plan for cycle `number` from the predicted root.
@@ -160,7 +159,7 @@ class Proposer:
 
     def _propose_in_turn(self, query: _Query) -> Proposal:
         """Plan with a fixed clearance: of the first solver that finds one, or of the one that keeps the rest."""
-        self._budget = self._settings.largest_budget - self._settings.iterations
+        self._budget.begin(query.began)
         last, self._grown, proposal = self._grown, None, Proposal(None)
         for dirt, share in self._solvers_in_turn(query.root):
             found = self._search(query, dirt, share)
@@ -179,25 +178,24 @@ class Proposer:
         To keep less clearance has to save a share of the cost; to keep more than the last plan may cost `RISE`.
         """
         levels, settings = self._levels, self._settings
-        most = self._budget = settings.largest_budget
+        self._budget.begin(query.began)
         was_recovering, self.recovers = self.recovers, False
         proposal = self._search_at_levels(query)
         if proposal.plan is not None:
             levels.require()
         elif self._begin_recovery(query.root, was_recovering):
             self.recovers = True
-            more = max(0, settings.iterations - self._budget)  # the levels may have spent all of it
-            most, self._budget = most + more, self._budget + more
+            self._budget.allow(settings.iterations)  # the levels may have spent all of it
             proposal = self._search(query, self.dirt, 1.0, is_last=True)
             self._grown = self._grown_of(self.dirt, proposal.plan)
-        return replace(proposal, iterations=most - self._budget)
+        return replace(proposal, iterations=self._budget.spent)
 
     def _search_at_levels(self, query: _Query) -> Proposal:
         """Plan of the first level that leaves a way to the goal, or of a later one that saves enough."""
         levels, rest = self._levels, query.rest
         kept, chosen, proposal, refused = levels.kept, levels.kept, Proposal(None), False
         waiting, self._grown = self._first_levels(query), None
-        while waiting and self._budget > 0:
+        while waiting and self._budget.left > 0:
             number = waiting.pop(0)
             dirt = levels.set(number, eased=rest is not None and number == kept)
             attempts = PROBES_HIGHER if number < kept else CORRECTION_ATTEMPTS
@@ -370,7 +368,7 @@ class Proposer:
                 start_with_best_corrections(dirt, root, rest, self._seed_of(query), attempts)
             lost = retain(dirt, root, rest)  # ll. 1-8
         kept = None if rest is None or self._settings.switch_gain == 0.0 else retained_plan(dirt, rest)
-        progress = self._grow(dirt, query, share, is_last)
+        progress = self._budget.grow(dirt, query.left, share, is_last)
         plan, refused = self._choose(dirt, kept)
         if plan is not None and self.loss is not None:
             plan = self._with_room_for_loss(dirt, plan, self.loss)
@@ -408,59 +406,6 @@ class Proposer:
         others = (dirt.plan_to(int(node)) for node in dirt.goal_nodes()[1 : LOSS_CANDIDATES + 1])
         return next((each for each in others if loss.keeps(each, cycle)), plan)
 
-    def _grow(self, dirt: DirtSolver, query: _Query, share: float, is_last: bool) -> Progress:
-        """Spend the budget: iterations, or a share of the remaining time, and all of it once there is a plan."""
-        if not self._realtime:
-            if self._settings.bound is not None:
-                return self._grow_at_level(dirt, query.left, is_last)
-            return self._grow_iterations(dirt, query.left)
-        ends = query.began + self._settings.clock_budget
-        progress = dirt.grow(seconds=share * (ends - clock.perf_counter()))
-        if dirt.plan() is None:
-            return progress
-        if self._settings.bound is not None and not is_last:
-            ends -= RESERVED_TIME * self._settings.clock_budget
-        return dirt.grow(seconds=ends - clock.perf_counter())
-
-    def _grow_at_level(self, dirt: DirtSolver, left: float, is_last: bool) -> Progress:
-        """Spend iterations of the cycle's budget until the plan is settled, or few if they find no way to the goal.
-
-        As many as these few are left of the budget for the levels after it, unless there are none.
-        """
-        iterations = self._settings.iterations
-        quarter, patience = max(1, iterations // 4), max(1, round(PATIENCE * iterations))
-        spent, cost, progress = 0, math.inf, dirt.progress
-        most = self._budget if is_last else min(self._budget, max(patience, self._budget - patience))
-        while spent < most:
-            count = min(patience if spent == 0 else quarter, most - spent)
-            cost, progress = dirt.best_cost, dirt.grow(iterations=count, timed=False)
-            spent += count
-            if not (is_last or dirt.best_node()[1]):
-                break
-            if spent >= iterations and _is_settled(dirt, left, cost):
-                break
-        self._budget -= spent
-        return progress
-
-    def _grow_iterations(self, dirt: DirtSolver, left: float) -> Progress:
-        """Spend `iterations`, and what is left of `max_iterations` while the plan is not settled.
-
-        `left` is the cost that was left of the last plan (s): a plan that costs more is not settled.
-        """
-        iterations = self._settings.iterations
-        if self._budget == 0:
-            return dirt.grow(iterations=iterations, timed=False)
-        chunk = max(1, iterations // 4)
-        if iterations > chunk:
-            dirt.grow(iterations=iterations - chunk, timed=False)
-        cost = dirt.best_cost
-        progress = dirt.grow(iterations=chunk, timed=False)
-        while self._budget > 0 and not _is_settled(dirt, left, cost):
-            cost, count = dirt.best_cost, min(chunk, self._budget)
-            progress = dirt.grow(iterations=count, timed=False)
-            self._budget -= count
-        return progress
-
     def _verify(self, number: int, dirt: DirtSolver, plan: Plan) -> None:
         """Verify with FCL the part of the plan that may be executed before the next plan is committed.
 
@@ -487,12 +432,3 @@ def _is_better(found: Proposal, proposal: Proposal, gain: float) -> bool:
 def _failure_reason(progress: Progress) -> str:
     unsafe = "; many lack a safe contingency" if progress.unsafe else ""
     return f"none of {counted(progress.edges, 'edge')} may be executed{unsafe}"
-
-
-def _is_settled(dirt: DirtSolver, left: float, before: float) -> bool:
-    """Whether the best plan reaches the goal, costs what was `left` of the last plan, and no longer improves.
-
-    `before` is the best cost before the last iterations, s.
-    """
-    cost = dirt.best_cost
-    return dirt.best_node()[1] and cost <= left + RETAINED_TOLERANCE and before - cost < CONVERGED

@@ -204,8 +204,7 @@ def test_a_plan_that_fails_its_verification_is_a_defect(monkeypatch: pytest.Monk
 
 
 def test_a_plan_that_comes_too_late_is_dropped_in_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    subject = replanner(cycle=0.2, lead=0.0)
-    subject._proposer._realtime = True
+    subject = replanner(realtime=True, cycle=0.2, lead=0.0)
     subject.begin(start())
     late = itertools.chain([0.0], itertools.repeat(5.0))
     monkeypatch.setattr("kraft.driving.proposer.clock.perf_counter", lambda: next(late))
@@ -219,8 +218,7 @@ def test_a_plan_that_comes_too_late_is_dropped_in_real_time(monkeypatch: pytest.
 def test_a_path_of_a_geodesic_method_that_comes_too_late_is_dropped_in_real_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    subject = replanner(cycle=0.2, lead=0.0, type="geodesic")
-    subject._proposer._realtime = True
+    subject = replanner(realtime=True, cycle=0.2, lead=0.0, type="geodesic")
     assert subject._proposer.propose(1, start(), None).plan is not None
     late = itertools.chain([0.0], itertools.repeat(5.0))
     monkeypatch.setattr("kraft.driving.proposer.clock.perf_counter", lambda: next(late))
@@ -232,8 +230,7 @@ def test_a_path_of_a_geodesic_method_that_comes_too_late_is_dropped_in_real_time
 def test_the_first_plan_which_is_made_before_the_drive_is_never_late(
     monkeypatch: pytest.MonkeyPatch, realtime: bool
 ) -> None:
-    subject = replanner(cycle=0.2, lead=0.0)
-    subject._proposer._realtime = realtime
+    subject = replanner(realtime=realtime, cycle=0.2, lead=0.0)
     late = itertools.chain([0.0, 0.0], itertools.repeat(5.0))
     monkeypatch.setattr("kraft.driving.proposer.clock.perf_counter", lambda: next(late))
     monkeypatch.setattr(subject.dirt, "grow", lambda grow=subject.dirt.grow, **_: grow(iterations=300))
@@ -245,8 +242,7 @@ def test_the_first_plan_which_is_made_before_the_drive_is_never_late(
 
 def test_by_the_clock_a_search_without_the_margin_has_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search with the margin finds nothing: half of the time is its, the rest that of the one without."""
-    subject = replanner(margin=0.03, cycle=0.5, lead=0.05)
-    subject._proposer._realtime = True
+    subject = replanner(realtime=True, margin=0.03, cycle=0.5, lead=0.05)
     now, granted, both = [0.0], list[float](), subject._proposer._solvers
     monkeypatch.setattr("kraft.driving.proposer.clock.perf_counter", lambda: now[0])
     for dirt in (both.planning, both.checking):
@@ -262,3 +258,9 @@ def test_by_the_clock_a_search_without_the_margin_has_time_left(monkeypatch: pyt
     assert granted == pytest.approx([0.175, 0.175, 0.0])  # of 0.8 x 0.5 s - 0.05 s; with a plan it goes on
     assert proposal.plan is not None
     assert not proposal.missed
+
+
+def test_by_the_clock_the_iterations_of_all_levels_are_counted() -> None:
+    bound = CalibratedBound(shares=(1.0, 0.25))
+    subject = replanner(cycle=0.2, lead=0.0, bound=bound, realtime=True)
+    assert subject._proposer.propose(0, start(), None).iterations >= 300

@@ -37,13 +37,13 @@ from kraft.driving.proposer import (
     DETOUR,
     LEAST_GAIN,
     LEVEL_GAIN,
-    PATIENCE,
     PROBES_HIGHER,
     RISE,
     STALLED,
 )
 from kraft.driving.replanner import NEARBY, ROOM
 from kraft.driving.rest import ATTEMPT_TOLERANCE, CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
+from kraft.driving.search_budget import PATIENCE
 from kraft.driving.solvers import COVER_EXCESS
 from kraft.scenario import Sensing
 from kraft.simulation.camera import BLURRED_SPEED, PRESETS

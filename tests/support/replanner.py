@@ -44,6 +44,7 @@ def replanner(
     model: str = "mushr",
     delay: float = 0.0,
     command_timeout: float | None = None,
+    realtime: bool = False,
     **settings: object,
 ) -> Replanner:
     planner = PlannerSettings(**{"mode": "replanning", "iterations": 300, "lead": 0.1, **settings})  # type: ignore[arg-type]
@@ -52,7 +53,7 @@ def replanner(
     controller = make_controller(kind, CarModel(vehicle))
     return Replanner(
         Solvers.of(task or turns(), vehicle, planner), planner, controller, seed, period=1 / 30, delay=delay,
-        command_timeout=command_timeout,
+        command_timeout=command_timeout, realtime=realtime,
     )  # fmt: skip
 
 

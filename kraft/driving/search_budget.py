@@ -1,0 +1,111 @@
+"""Budget of a cycle's searches: how many iterations, or how much time, each of them spends.
+
+A number of iterations gives the same plan on every run; the clock limits the search of a robot.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from typing import Final
+
+from kraft.driving.method import PlannerSettings
+from kraft.driving.rest import RETAINED_TOLERANCE
+from ompl_ext.query_tree import Progress
+from ompl_ext.solver import DirtSolver
+
+CONVERGED: Final = 0.1
+"""Fall of the best cost during a quarter of the iterations below which a search has converged, s."""
+PATIENCE: Final = 0.4
+"""Share of the iterations after which a search at a level without a way to the goal ends."""
+RESERVED_TIME: Final = 0.2
+"""Share of the time of a cycle that is left for other levels, by the clock."""
+
+
+class SearchBudget:
+    """Grows the trees of a cycle within its budget.
+
+    At levels of clearance all searches of a cycle share the largest budget.  Otherwise each of them spends
+    `iterations`, and what remains to the largest budget is spent where a plan is not settled.
+    """
+
+    def __init__(self, settings: PlannerSettings, realtime: bool) -> None:
+        """`realtime` limits the searches by wall-clock time instead of iterations."""
+        self._settings, self._realtime, self._at_levels = settings, realtime, settings.bound is not None
+        self._ends = math.inf
+        self.left = self.spent = 0
+
+    def begin(self, began: float) -> None:
+        """Begin a cycle whose planning began at `began` s of the clock."""
+        settings = self._settings
+        self._ends, self.spent = began + settings.clock_budget, 0
+        self.left = settings.largest_budget - (0 if self._at_levels else settings.iterations)
+
+    def allow(self, iterations: int) -> None:
+        """Allow at least as many `iterations` more."""
+        self.left = max(self.left, iterations)
+
+    def grow(self, dirt: DirtSolver, remaining: float, share: float, is_last: bool) -> Progress:
+        """Spend iterations, or a share of the remaining time and all of it once there is a plan.
+
+        `remaining` is the cost that was left of the last plan (s): a plan that costs more is not settled.  `is_last`
+        is whether no level comes after this one.
+        """
+        if not self._realtime:
+            grow = self._grow_at_level if self._at_levels else self._grow_iterations
+            return grow(dirt, remaining, is_last)
+        progress = dirt.grow(seconds=share * (self._ends - clock.perf_counter()))
+        if dirt.plan() is not None:
+            reserved = RESERVED_TIME * self._settings.clock_budget if self._at_levels and not is_last else 0.0
+            progress = dirt.grow(seconds=self._ends - reserved - clock.perf_counter())
+        self.spent += progress.iterations
+        return progress
+
+    def _grow_at_level(self, dirt: DirtSolver, remaining: float, is_last: bool) -> Progress:
+        """Spend iterations of the cycle's budget until the plan is settled, or few if they find no way to the goal.
+
+        As many as these few are left of the budget for the levels after it, unless there are none.
+        """
+        iterations = self._settings.iterations
+        quarter, patience = max(1, iterations // 4), max(1, round(PATIENCE * iterations))
+        spent, cost, progress = 0, math.inf, dirt.progress
+        most = self.left if is_last else min(self.left, max(patience, self.left - patience))
+        while spent < most:
+            count = min(patience if spent == 0 else quarter, most - spent)
+            cost, progress = dirt.best_cost, dirt.grow(iterations=count, timed=False)
+            spent += count
+            if not (is_last or dirt.best_node()[1]):
+                break
+            if spent >= iterations and _is_settled(dirt, remaining, cost):
+                break
+        self._spend(spent)
+        return progress
+
+    def _grow_iterations(self, dirt: DirtSolver, remaining: float, is_last: bool) -> Progress:
+        """Spend `iterations`, and what is left of `max_iterations` while the plan is not settled."""
+        iterations = self._settings.iterations
+        if self.left == 0:
+            return dirt.grow(iterations=iterations, timed=False)
+        chunk = max(1, iterations // 4)
+        if iterations > chunk:
+            dirt.grow(iterations=iterations - chunk, timed=False)
+        cost = dirt.best_cost
+        progress = dirt.grow(iterations=chunk, timed=False)
+        while self.left > 0 and not _is_settled(dirt, remaining, cost):
+            cost, count = dirt.best_cost, min(chunk, self.left)
+            progress = dirt.grow(iterations=count, timed=False)
+            self._spend(count)
+        return progress
+
+    def _spend(self, iterations: int) -> None:
+        self.left -= iterations
+        self.spent += iterations
+
+
+def _is_settled(dirt: DirtSolver, remaining: float, before: float) -> bool:
+    """Whether the best plan reaches the goal, costs what was left of the last plan, and no longer improves.
+
+    `remaining` is what was left (s), and `before` the best cost before the last iterations (s).
+    """
+    cost = dirt.best_cost
+    return dirt.best_node()[1] and cost <= remaining + RETAINED_TOLERANCE and before - cost < CONVERGED
