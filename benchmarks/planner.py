@@ -12,7 +12,8 @@ import numpy as np
 from benchmarks.effort import Effort
 from benchmarks.report import Report, Row, Target, number, row
 from benchmarks.scenes import NO_MARGIN, RK4_STEPS, SCENES, Scene, scene
-from ompl_ext.query import Settings, make_problem
+from ompl_ext.problem import make_problem
+from ompl_ext.query import Settings
 from ompl_ext.query_tree import Progress
 from ompl_ext.solver import DirtSolver
 

@@ -16,7 +16,8 @@ from benchmarks.report import Report, Row, Target, number, row
 from benchmarks.scenes import SCENES, Scene, endless, scene
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.search import search
-from ompl_ext.query import edges_to_retain, lanes_of
+from ompl_ext.problem import lanes_of
+from ompl_ext.retainment import edges_to_retain
 from ompl_ext.solver import DirtSolver
 
 SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)

@@ -36,7 +36,8 @@ from ompl_ext.kernels.tree_memory import (  # fmt: skip
     with_room,
 )
 from ompl_ext.plan import Contingency, TreeView, tree_view
-from ompl_ext.query import edges_to_retain, make_lanes
+from ompl_ext.problem import make_lanes
+from ompl_ext.retainment import edges_to_retain
 
 PRUNE_EVERY = 1024  # iterations
 TOP_SPEED_MARGIN = 1.01  # factor of the learned top speed over the fastest edge, so that it rises rarely

@@ -17,7 +17,8 @@ from ompl_ext.kernels.search import search
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency
-from ompl_ext.query import Goal, Safety, Settings, lanes_of, make_problem
+from ompl_ext.problem import lanes_of, make_problem
+from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.vehicle import Vehicle
 
 

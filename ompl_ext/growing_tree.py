@@ -12,7 +12,9 @@ from ompl_ext.kernels.kernel_types import Problem, Retained, Tree
 from ompl_ext.kernels.search import search
 from ompl_ext.kernels.specialise import optional_module
 from ompl_ext.kernels.tree_memory import first_nodes, new_tree, reset, reset_indices, with_room
-from ompl_ext.query import Settings, edges_to_retain, lanes_of
+from ompl_ext.problem import lanes_of
+from ompl_ext.query import Settings
+from ompl_ext.retainment import edges_to_retain
 from ompl_ext.vehicle import Vehicle
 
 

@@ -23,7 +23,7 @@ from ompl_ext.configuration import Bounds, Configuration, ControlLayout, default
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.parameters import DIRT_PARAMETERS, ParamSet, Value
 from ompl_ext.plan import Plan, TreeView
-from ompl_ext.query import remaining_edges
+from ompl_ext.retainment import remaining_edges
 from ompl_ext.system import PlanarGoal
 from ompl_ext.validity import SafetyValidityChecker
 

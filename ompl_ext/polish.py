@@ -35,7 +35,8 @@ from ompl_ext.kernels.posepath import PosePath
 from ompl_ext.kernels.specialise import polish_kernels
 from ompl_ext.motion import motion_of
 from ompl_ext.obstacles import Workspace
-from ompl_ext.query import Goal, Settings, lanes_of, pose_cost_to_go_of
+from ompl_ext.problem import lanes_of, pose_cost_to_go_of
+from ompl_ext.query import Goal, Settings
 from ompl_ext.vehicle import Vehicle
 
 INTERVAL, STRIDE = 0.1, 0.35  # longest interval of a guess (s), and motion in it at the top speed (footprint's lengths)

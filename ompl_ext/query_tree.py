@@ -18,8 +18,8 @@ from ompl_ext.kernels.rng import generator
 from ompl_ext.kernels.tree_memory import add_root, best_node, path_to
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
-from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, remaining_edges
-from ompl_ext.retainment import RetainableEdges, retainable_edges
+from ompl_ext.query import Goal, Safety, Settings
+from ompl_ext.retainment import RetainableEdges, edges_to_retain, remaining_edges, retainable_edges
 from ompl_ext.vehicle import Vehicle
 
 MAX_THREADS = 64

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.kernels import kernel_types as at
-from ompl_ext.kernels.kernel_types import Tree
+from ompl_ext.kernels.kernel_types import Q_DIM, Retained, Tree
 from ompl_ext.plan import Plan
-from ompl_ext.query import remaining_edges
 
 
 @dataclass(frozen=True)
@@ -98,3 +98,27 @@ def _most_promising(tree: Tree, path: Bools, limit: int) -> Ints:
         keep[missing] = True
         kept += len(missing)
     return np.flatnonzero(keep & ~path)
+
+
+def remaining_edges(controls: Floats, durations: Floats, elapsed: float) -> tuple[list[int], Floats, Floats]:
+    """Parents, controls and durations of the edges that remain of a path after `elapsed` s.
+
+    `controls` has shape (edges, nu), `durations` (edges,).  The edge in progress remains in part.  Parents are indices
+    of edges, -1 for the root.
+    """
+    ends = np.cumsum(durations)
+    left = ends > elapsed + 1e-9
+    durations = np.minimum(durations, ends - elapsed)[left]
+    return list(range(-1, len(durations) - 1)), controls[left], durations
+
+
+def edges_to_retain(
+    parent: Sequence[int] | Ints, controls: Floats, durations: Floats, targets: Matrix | None = None
+) -> Retained:
+    """Initial edges for the kernel `grow`; `controls` has shape (edges, nu), `durations` (edges,).
+
+    The first n edges are corrected to end at `targets` (n, Q_DIM), configurations in the tree's metric.
+    """
+    edge = np.ascontiguousarray(np.column_stack([controls, durations]), dtype=float)
+    target = np.zeros((0, Q_DIM)) if targets is None else np.ascontiguousarray(targets, dtype=float)
+    return Retained(np.array(parent, np.int64), edge, target, np.full(len(parent), -1))

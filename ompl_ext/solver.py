@@ -18,8 +18,10 @@ from ompl_ext.kernels.tree_memory import CAPACITY, MAX_NODES, path_to, prune
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Plan
 from ompl_ext.polish import Guess, Polish, guess_of, guess_to_goal, weights_of
-from ompl_ext.query import Goal, Safety, Settings, edges_to_retain, pose_cost_to_go_of
+from ompl_ext.problem import pose_cost_to_go_of
+from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.query_tree import Progress, QueryTree
+from ompl_ext.retainment import edges_to_retain
 from ompl_ext.vehicle import Vehicle
 
 FIRST_CHUNK = 64  # iterations between readings of the clock until a solution is found, which ends them early

@@ -10,8 +10,7 @@ import numpy as np
 from kraft.driving.messages import PlanLoss
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import Plan
-from ompl_ext.query import remaining_edges
-from ompl_ext.retainment import RetainableEdges
+from ompl_ext.retainment import RetainableEdges, remaining_edges
 from ompl_ext.solver import DirtSolver
 
 RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)

@@ -25,7 +25,8 @@ from ompl_ext.kernels.kernel_types import Problem
 from ompl_ext.memory import MapTooLargeError, check_memory, in_words
 from ompl_ext.motion import motion_of
 from ompl_ext.obstacles import Workspace
-from ompl_ext.query import Settings, make_problem, memory_of_maps
+from ompl_ext.problem import make_problem, memory_of_maps
+from ompl_ext.query import Settings
 from ompl_ext.vehicle import Footprint, Vehicle
 
 POINT = Footprint(1e-6, 1e-6)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.kernels import NO_SAFETY, ROVER, integrate, rover_rate
 
-from ompl_ext import query, solver
+from ompl_ext import solver
 from ompl_ext.exact import ExactClearance
 from ompl_ext.following import PathFollower
 from ompl_ext.kernels import kernel_types as at
@@ -20,7 +20,8 @@ from ompl_ext.kernels.trajectory_types import Stages, backward, stages
 from ompl_ext.motion import motion_of
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.plan import Plan
-from ompl_ext.query import Goal, Settings, make_problem, pose_cost_to_go_of
+from ompl_ext.problem import make_problem, pose_cost_to_go_of
+from ompl_ext.query import Goal, Settings
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Footprint
 from ompl_ext.verification import verify
@@ -161,8 +162,8 @@ def test_ways_of_what_cannot_reverse_have_its_smallest_turns_where_those_lead_fa
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     ahead = np.array([[0.25, 0.0, -0.5], [0.25, 0.0, 0.5], [0.5, 0.0, -0.5], [0.5, 0.0, 0.0], [0.5, 0.0, 0.5]])
-    original = query.pose_cost_to_go
-    monkeypatch.setattr(query, "pose_cost_to_go", lambda *given: original(*given[:5], ahead, *given[6:]))
+    original = posetogo.pose_cost_to_go
+    monkeypatch.setattr("ompl_ext.problem.pose_cost_to_go", lambda *given: original(*given[:5], ahead, *given[6:]))
     street = Workspace(((0.0, 3.0), (0.0, 1.3)))
 
     def leads_round(x: float) -> bool:

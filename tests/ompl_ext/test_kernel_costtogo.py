@@ -13,7 +13,8 @@ from support.kernels import BENCHMARK, NO_SAFETY, random_workspace
 from ompl_ext.kernels.clearance import ClearanceField, clearance_field
 from ompl_ext.kernels.costtogo import UNREACHABLE, CostToGo, cost_to_go, seconds_to_goal
 from ompl_ext.obstacles import Circle, OccupancyGrid, Workspace, box
-from ompl_ext.query import Goal, make_problem
+from ompl_ext.problem import make_problem
+from ompl_ext.query import Goal
 from ompl_ext.query import Settings as PlannerSettings
 
 ROOM = ((0.0, 4.0), (0.0, 4.0))
