@@ -34,7 +34,7 @@ class Table:
         )
 
 
-_COLUMNS: Final = {
+COLUMNS: Final = {
     "method": 9,
     "succ": 9,
     "coll": 9,
@@ -75,12 +75,12 @@ def tables(summary: Summary) -> list[Table]:
         "emerg": replans,
         "regr": replans,
     }
-    names = [name for name in _COLUMNS if occurs.get(name, True)]
+    names = [name for name in COLUMNS if occurs.get(name, True)]
     found = []
     for entry in summary.entries:
         cells = [_cells(result) for result in summary.of_entry(entry)]
         rows = tuple(tuple(row[name] for name in names) for row in cells)
-        found.append(Table(entry, tuple(names), rows, tuple(_COLUMNS[name] for name in names)))
+        found.append(Table(entry, tuple(names), rows, tuple(COLUMNS[name] for name in names)))
     return found
 
 
@@ -98,7 +98,7 @@ def totals(summary: Summary) -> Table | None:
     for method in dict.fromkeys(result.method for result in summary.results):
         cells = _total(summary.of_method(method))
         rows.append(tuple(cells[name] for name in names))
-    return Table("all entries", tuple(names), tuple(rows), tuple(_COLUMNS[name] for name in names))
+    return Table("all entries", tuple(names), tuple(rows), tuple(COLUMNS[name] for name in names))
 
 
 def _total(results: Sequence[Result]) -> dict[str, str]:

@@ -16,6 +16,7 @@ from support.screen import Screen
 
 from kraft.evaluation import METHODS, evaluator
 from kraft.evaluation.suite import load_suite
+from kraft.evaluation.table import COLUMNS
 from kraft_cli.main import main
 from kraft_cli.progress import Interrupts, Progress
 from kraft_cli.terminal import Terminal
@@ -320,3 +321,11 @@ def test_every_option_and_every_key_is_described(inline: None, capsys: pytest.Ca
     assert set(content) | set(content["results"][0]) <= described
     line = json.loads(Path("o/trials.jsonl").read_text())
     assert set(line) | set(line["measured"]) <= described
+
+
+def test_every_column_of_the_tables_is_in_the_legend() -> None:
+    legend = EVAL[EVAL.index("## The tables") : EVAL.index("## Suites and sweeps")]
+    columns = {
+        name for row in re.findall(r"^\| (`.*?) \|", legend, re.MULTILINE) for name in re.findall(r"`(.+?)`", row)
+    }
+    assert columns == set(COLUMNS)

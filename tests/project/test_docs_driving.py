@@ -1,4 +1,4 @@
-"""The page on driving names every setting with its real default, the bundled methods, and the noise in the code."""
+"""The pages on driving name every setting with its real default, the bundled methods, and the noise in the code."""
 
 from __future__ import annotations
 
@@ -48,7 +48,8 @@ from kraft.driving.solvers import COVER_EXCESS
 from kraft.scenario import Sensing
 from kraft.simulation.camera import BLURRED_SPEED, PRESETS
 
-TEXT = (ROOT / "docs" / "driving.md").read_text(encoding="utf-8")
+PAGES = ("driving", "clearance", "estimation", "control")
+TEXT = "\n".join((ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8") for page in PAGES)
 
 
 TABLES = {
@@ -57,13 +58,13 @@ TABLES = {
     CalibratedBound: "The keys of its `bound`:",
     Filter: "### filter\n",
     Adaptive: "### adaptive\n",
-    Geometric: "### geometric\n",
-    Kinodynamic: "### kinodynamic\n",
-    Lqr: "### lqr\n",
+    Geometric: "\n## geometric\n",
+    Kinodynamic: "\n## kinodynamic\n",
+    Lqr: "\n## lqr\n",
     RolloutCost: "The cost of a rollout:",
     Mppi: "`mppi`, model predictive",
     Dwa: "`dwa`, the dynamic window",
-    Nmpc: "### nmpc\n",
+    Nmpc: "\n## nmpc\n",
 }
 """Text before the table of each model's settings."""
 
@@ -150,7 +151,7 @@ def test_the_table_of_noise_is_the_one_in_the_code() -> None:
 
 
 def test_the_mean_error_of_the_noise_is_the_one_in_the_code() -> None:
-    found = re.search(r"a mean error away from the\s+camera \((\d+) mm and (\d+) mm there\)", TEXT)
+    found = re.search(r"a mean error away from the camera \((\d+) mm and (\d+) mm there\)", " ".join(TEXT.split()))
     assert found is not None
     mean = PRESETS["single-tag"].along.mean
     expected = [1000 * mean.at(*place) for place in ((4.8, 0.0), (5.6, math.radians(30.0)))]
