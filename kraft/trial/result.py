@@ -26,6 +26,7 @@ from kraft.vehicles import is_car
 from kraft.vehicles.load import load_vehicle, natural_robot
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from ompl_ext.arrays import Matrix
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.vehicle import Footprint, Vehicle
 
 
@@ -370,7 +371,7 @@ def estimate_errors(
     kept = (own >= since) & (own <= times[-1] + 1e-9)
     if not kept.any():
         kept = own == own[0]
-    there = np.column_stack([np.interp(own[kept], times, true[:, k]) for k in range(3)])
+    there = interpolated_rows(own[kept], times, true)
     estimated = np.array([step.estimate[list(pose)] for step in steps])[kept]
     errors: list[float] = farthest_point(there, estimated, footprint).tolist()
     return errors
@@ -390,7 +391,7 @@ def _deviation(cycle: Cycle, step: Step, footprint: Footprint, pose: Sequence[in
     """Largest distance of a point of the car from where a cycle predicts it, m; from its reference after that."""
     predicted = cycle.predicted
     if step.time <= predicted.times[-1] + 1e-9:
-        expected = np.array([np.interp(step.time, predicted.times, predicted.states[:, k]) for k in pose])
+        expected = interpolated_rows(step.time, predicted.times, predicted.states[:, list(pose)])
     else:
         expected = cycle.reference.state_at(step.time)[list(pose)]
     return float(farthest_point(np.array([step.pose]), expected[None, :], footprint)[0])
