@@ -28,7 +28,7 @@ from kraft.evaluation.report.entry import (
     trials_section,
 )
 from kraft.evaluation.report.methods import Shown, measures_table, methods
-from kraft.evaluation.report.results import VERSIONS, Cell, Results
+from kraft.evaluation.report.results import VERSIONS, RecordedCell, Results
 from kraft.evaluation.report.sweeps import settings_text, sweep_pictures, sweeps
 from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted, decimals
@@ -410,7 +410,7 @@ def causes(results: Results) -> Element | None:
 MEANINGS: Final = {str(kind): kind.meaning for kind in CauseKind} | {UNRECORDED: "the trial is of an older kraft"}
 
 
-def settings_of(cell: Cell) -> str:
+def settings_of(cell: RecordedCell) -> str:
     """What an entry sets, and its scenario where the name does not state it."""
     label = cell.base or cell.name
     parts = [] if label == cell.scenario else [cell.scenario]
@@ -427,7 +427,7 @@ def chip(result: Result) -> Element:
     return element("span", *text, class_="chip ends", style=count.bar, title=count.others or None)
 
 
-def _name(results: Results, cell: Cell) -> list[Content]:
+def _name(results: Results, cell: RecordedCell) -> list[Content]:
     settings = settings_of(cell)
     link = element("a", cell.base or cell.name, href=f"#{results.slugs[cell.name]}")
     return [link, element("small", settings, title=settings) if settings else None]
