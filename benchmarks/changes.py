@@ -24,6 +24,7 @@ from kraft.trial.plant import true_vehicle
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.vehicle import Vehicle
 
 SCENES = ("turns", "boxes")
@@ -113,9 +114,7 @@ def errors_of(result: TrialResult, vehicle: Vehicle, change: float) -> tuple[tup
         first, last = np.searchsorted(times, (predicted.times[0] - 1e-9, predicted.times[-1] - 1e-9))
         if times[-1] < predicted.times[-1] - 0.1 or not cycle.delivered:  # the trial ended before the cycle did
             continue
-        expected = np.column_stack(
-            [np.interp(times[first:last], predicted.times, predicted.states[:, k]) for k in pose]
-        )
+        expected = interpolated_rows(times[first:last], predicted.times, predicted.states[:, pose])
         apart = farthest_point(truth[first:last], expected, vehicle.footprint)
         found.append((cycle.time - change, float(apart.max())))
     return tuple(found)

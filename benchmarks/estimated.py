@@ -26,6 +26,7 @@ from kraft.trial.measures import farthest_point
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.vehicle import Vehicle
 
 ITERATIONS = (200, 400)  # of a cycle, instead of 500 and 1000: more episodes for the same time
@@ -187,7 +188,7 @@ def judged(number: int, result: TrialResult, vehicle: Vehicle, seconds: float) -
         within = driven & (times >= cycle.time - 1e-9) & (times < last - 1e-9)
         if predicted.delta is None or not within.any():
             continue
-        expected = np.column_stack([np.interp(times[within], predicted.times, predicted.states[:, j]) for j in pose])
+        expected = interpolated_rows(times[within], predicted.times, predicted.states[:, pose])
         apart.append(farthest_point(truth[within], expected, vehicle.footprint))
         deltas.append(np.interp(times[within], predicted.times, predicted.delta))
         cycle_of.append(np.full(int(within.sum()), k))

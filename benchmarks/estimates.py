@@ -25,6 +25,7 @@ from kraft.trial.result import TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Matrix
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.vehicle import Vehicle
 
 CARS, ROOMS, SCENES = "unknown cars", "arenas", ("movable", "slope", "slip", "bump")
@@ -86,7 +87,7 @@ def errors_of(result: TrialResult, vehicle: Vehicle) -> Matrix:
     speeds = velocity[:, 0] * np.cos(poses[:, 2]) + velocity[:, 1] * np.sin(poses[:, 2])
     own = times + np.array([step.ahead for step in result.steps])
     within = own <= times[-1]
-    truth = np.column_stack([np.interp(own[within], times, column) for column in (*poses.T, speeds)])
+    truth = interpolated_rows(own[within], times, np.column_stack([poses, speeds]))
     components = [*(vehicle.index(name) for name in ("x", "y", "theta")), vehicle.rest_indices[0]]
     estimates = np.array([step.estimate[components] for step in result.steps])[within]
     errors: Matrix = estimates - truth

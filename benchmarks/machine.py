@@ -9,6 +9,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from kraft.cores import usable_cores
+
 PACKAGES = ("ompl", "numpy", "numba", "llvmlite", "scipy", "python-fcl", "mujoco")
 
 
@@ -16,7 +18,7 @@ def describe() -> dict[str, Any]:
     """Processor, system, versions, and how busy the machine was just before."""
     return {
         "cpu": cpu_model(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": usable_cores(),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "load": [round(load, 2) for load in os.getloadavg()],
         "python": platform.python_version(),

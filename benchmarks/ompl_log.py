@@ -14,7 +14,7 @@ from benchmarks.effort import Effort
 from benchmarks.report import number, silenced
 from benchmarks.scenes import SCENES, Scene, scene
 from benchmarks.search import costs_over_time
-from kraft.evaluation.folder import make_database
+from kraft.evaluation.ompl_benchmark import make_database
 from ompl_ext.planner import DIRT
 from ompl_ext.system import SimpleSetup
 

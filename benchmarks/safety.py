@@ -9,14 +9,13 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 
-import numpy as np
-
 from benchmarks.effort import Effort
 from benchmarks.judge import Judgement, judge
 from benchmarks.random_scenes import VEHICLES, RandomScene, random_scene, vehicle_named
 from benchmarks.report import Report, Target, row
 from kraft.planning.compilation import ensure_compiled
 from ompl_ext.arrays import Floats
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver
 from ompl_ext.verification import verify
@@ -110,7 +109,7 @@ def plan_and_judge(number: int) -> list[Outcome]:
     outcomes = [outcome(query, dirt, query.start, plan, replanned=False)]
     after = query.safety.cycle
     if plan is not None and number % REPLAN_EVERY == 0 and 0.0 < after < plan.cost:
-        state = np.array([np.interp(after, plan.times, column) for column in plan.trajectory.T])
+        state = interpolated_rows(after, plan.times, plan.trajectory)
         dirt.start(state, number)
         dirt.retain(plan, after)
         dirt.grow(iterations=query.iterations // 4)

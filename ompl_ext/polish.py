@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels import trajectory_types as st
 from ompl_ext.kernels.functions import INTERVALS
@@ -307,7 +308,7 @@ def divided(guess: Guess, durations: Floats) -> Guess:
     """The same trajectory in intervals of `durations` (n,) s; beyond its end it stays in its last state."""
     ends = np.concatenate([[0.0], np.cumsum(guess.durations)])
     times = np.concatenate([[0.0], np.cumsum(durations)])
-    states = np.column_stack([np.interp(times, ends, column) for column in guess.states.T])
+    states = interpolated_rows(times, ends, guess.states)
     middle = 0.5 * (times[:-1] + times[1:])
     index = np.clip(np.searchsorted(ends, middle, side="right") - 1, 0, len(guess.durations) - 1)
     return Guess(states, guess.controls[index], durations)

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from kraft.evaluation.evaluator import Evaluation as Evaluation
     from kraft.evaluation.evaluator import Observer as Observer
     from kraft.evaluation.evaluator import evaluate as evaluate
-    from kraft.evaluation.evaluator import usable_cores as usable_cores
     from kraft.evaluation.experiment import METHODS as METHODS
     from kraft.evaluation.experiment import SUITE as SUITE
     from kraft.evaluation.experiment import TRIALS as TRIALS
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "evaluator": ["Evaluation", "Observer", "evaluate", "usable_cores"],
+        "evaluator": ["Evaluation", "Observer", "evaluate"],
         "experiment": ["METHODS", "SUITE", "TRIALS", "Experiment"],
         "journal": ["TrialRow"],
         "summary": ["Result", "Summary"],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -10,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from kraft.cores import usable_cores
 from kraft.driving.control import check_packages, kernel_modules, needs_steps
 from kraft.errors import Code, Diagnostic, Problems, Unreachable, out_of_range
 from kraft.evaluation.executors import Cluster, Executor, Log, Processes
@@ -159,11 +159,6 @@ def check_arguments(
     problems.check()
     assert experiment is not None, "every problem was raised"
     return experiment
-
-
-def usable_cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _ensure_compiled(experiment: Experiment, log: Log) -> None:

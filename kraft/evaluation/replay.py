@@ -38,6 +38,7 @@ from kraft.trial.result import TrialResult, TrialSpec
 from kraft.vehicles import control_unit
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.exact import ExactClearance
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.plan import TreeView
 from ompl_ext.vehicle import Vehicle
@@ -152,7 +153,7 @@ def _errors(times: Floats, poses: Matrix, ticks: Floats, true: Matrix, quanta: S
     """Poses (n, 3) at `times` minus the true ones."""
     if not len(times):
         return [series(np.zeros(0), quantum) for quantum in quanta]
-    errors = poses - np.column_stack([np.interp(times, ticks, true[:, k]) for k in range(3)])
+    errors = poses - interpolated_rows(times, ticks, true)
     errors[:, 2] = np.remainder(errors[:, 2] + np.pi, 2.0 * np.pi) - np.pi
     return [series(errors[:, k], quantum) for k, quantum in enumerate(quanta)]
 
@@ -202,7 +203,7 @@ def _line(reference: Reference, vehicle: Vehicle) -> list[Any]:
     """Its first time on the grid, then x and y; the rest of a plan that is kept has the same numbers again."""
     first, last = np.ceil(reference.start / GRID - 1e-6), np.floor(reference.end / GRID + 1e-6)
     times = np.unique([reference.start, *(GRID * np.arange(first, last + 1)), reference.end])
-    states = np.column_stack([np.interp(times, reference.times, column) for column in reference.states.T])
+    states = interpolated_rows(times, reference.times, reference.states)
     poses = poses_of(states, vehicle)
     return [series(poses[:, k], POINT) for k in range(2)]
 

@@ -6,12 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
 from kraft.errors import Code, InputError, out_of_range
 from kraft.scenario.planning import PLANNERS
 from kraft.text import suggestion
 from ompl_ext.arrays import Floats
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.plan import Plan
 from ompl_ext.query_tree import MAX_THREADS, Progress
 from ompl_ext.solver import DirtSolver
@@ -33,7 +32,7 @@ class Previous:
     def state(self) -> Floats:
         """State that the plan predicts after `elapsed` s, shape (nx,)."""
         plan = self.plan
-        return np.array([np.interp(self.elapsed, plan.times, column) for column in plan.trajectory.T])
+        return interpolated_rows(self.elapsed, plan.times, plan.trajectory)
 
     def check(self, vehicle: Vehicle) -> None:
         """Check that the plan belongs to `vehicle` and lasts longer than `elapsed`.

@@ -46,6 +46,7 @@ from kraft.plot.style import (
 )
 from kraft.scenario import Bounds, Box, Circle, Goal, Obstacle, OccupancyMap, Polygon
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.plan import TreeView
 from ompl_ext.vehicle import Footprint, Vehicle
 
@@ -75,7 +76,7 @@ class PoseTrajectory:
 
     def at(self, times: Floats) -> Matrix:
         """Poses (k, 3) at `times` (k,), s, by linear interpolation."""
-        return np.column_stack([np.interp(times, self.times, column) for column in self.poses.T])
+        return interpolated_rows(times, self.times, self.poses)
 
     def between(self, begin: float, end: float) -> Matrix:
         """Poses from `begin` to `end`, s, including the interpolated poses at both."""

@@ -38,7 +38,7 @@ from kraft.sysid.prediction import (
 )
 from kraft.sysid.smoothing import thinned
 from kraft.text import counted
-from kraft.vehicles.config import VehicleConfig
+from kraft.vehicles.config import SpeedPrediction, VehicleConfig
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
@@ -249,24 +249,7 @@ class PredictionEvaluation:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class SpeedErrors:
-    """Root mean square prediction errors (horizons,) of windows with similar speeds, along the vehicle and across."""
-
-    speeds: tuple[float, float]
-    """lowest and highest mean speed of the windows, m/s"""
-    windows: int
-    after: tuple[float, ...]
-    """s"""
-    along: tuple[float, ...]
-    """m"""
-    across: tuple[float, ...]
-    """m"""
-    yaw: tuple[float, ...]
-    """rad"""
-
-
-def errors_by_speed(windows: Sequence[Window]) -> tuple[SpeedErrors, ...]:
+def errors_by_speed(windows: Sequence[Window]) -> tuple[SpeedPrediction, ...]:
     """Errors of windows of a second or more, in classes of equally many from slow to fast; in one if there are few."""
     long = [w for w in windows if _reached(w, HORIZONS[0]) is not None]
     if not long:
@@ -285,7 +268,7 @@ def _reached(window: Window, after: float) -> int | None:
     return k if since[k] <= 0.75 * float(np.median(np.diff(window.times))) else None
 
 
-def _speed_errors(windows: Sequence[Window], speeds: Floats) -> SpeedErrors:
+def _speed_errors(windows: Sequence[Window], speeds: Floats) -> SpeedPrediction:
     """Errors of windows with similar speeds (windows,), as far as they reach."""
     errors = {}
     for after in HORIZONS:
@@ -298,7 +281,9 @@ def _speed_errors(windows: Sequence[Window], speeds: Floats) -> SpeedErrors:
             errors[after] = np.sqrt(np.mean(np.square([along, across, off[:, 2]]), axis=1))
     along, across, turned = (tuple(map(float, each)) for each in zip(*errors.values(), strict=True))
     extremes = float(speeds.min()), float(speeds.max())
-    return SpeedErrors(extremes, len(windows), tuple(errors), along, across, turned)
+    return SpeedPrediction(
+        speeds=extremes, windows=len(windows), after=tuple(errors), along=along, across=across, yaw=turned
+    )
 
 
 def evaluate_predictions(

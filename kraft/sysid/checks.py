@@ -107,7 +107,7 @@ class SteeringInMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class SolvedProblem:
     """A solved problem with its data: what the checks and the result are made from."""
 
     problem: Problem
@@ -126,19 +126,25 @@ class Solution:
         return self.problem.parameters.free_names
 
 
-def warnings_of(solution: Solution, *, windows: bool = False) -> tuple[str, ...]:
+def warnings_of(solution: SolvedProblem, *, windows: bool = False) -> tuple[str, ...]:
     """All warnings, the most important first.
 
     With `windows`, those of a fit of open-loop windows: its residuals are the model's errors and no noise, and how well
     its terms are known shows in its predictions.
     """
-    checks: list[Callable[[Solution], Iterator[str]]] = [_convergence, _steering, _throttle, _bounds, _negative_delay]
+    checks: list[Callable[[SolvedProblem], Iterator[str]]] = [
+        _convergence,
+        _steering,
+        _throttle,
+        _bounds,
+        _negative_delay,
+    ]
     if not windows:
         checks += [_unidentified, _unbounded, _correlation, _residuals, _disagreement]
     return tuple(warning for check in checks for warning in check(solution))
 
 
-def at_bound(solution: Solution) -> dict[str, str]:
+def at_bound(solution: SolvedProblem) -> dict[str, str]:
     """Parameters at a bound, with `lower` or `upper`."""
     p = solution.problem.parameters
     margin = AT_BOUND * (p.high - p.low)
@@ -150,7 +156,7 @@ def at_bound(solution: Solution) -> dict[str, str]:
     return found
 
 
-def unidentified(solution: Solution) -> tuple[str, ...]:
+def unidentified(solution: SolvedProblem) -> tuple[str, ...]:
     """Parameters whose uncertainty the data hardly reduce below that of the prior."""
     p = solution.problem.parameters
     prior = p.std[p.free]
@@ -158,7 +164,7 @@ def unidentified(solution: Solution) -> tuple[str, ...]:
     return tuple(name for name, a, b in zip(solution.names, std, prior, strict=True) if a > PRIOR_STD_RATIO * b)
 
 
-def _convergence(solution: Solution) -> Iterator[str]:
+def _convergence(solution: SolvedProblem) -> Iterator[str]:
     if not solution.optimum.converged:
         yield (
             f"the optimiser had not converged after {counted(solution.iterations, 'iteration')}: values and intervals "
@@ -166,7 +172,7 @@ def _convergence(solution: Solution) -> Iterator[str]:
         )
 
 
-def _bounds(solution: Solution) -> Iterator[str]:
+def _bounds(solution: SolvedProblem) -> Iterator[str]:
     p, step = solution.problem.parameters, float(solution.problem.chains.h.max())
     for name, which in at_bound(solution).items():
         spec = p.specs[p.index(name)]
@@ -184,7 +190,7 @@ def _bounds(solution: Solution) -> Iterator[str]:
         )
 
 
-def _throttle(solution: Solution) -> Iterator[str]:
+def _throttle(solution: SolvedProblem) -> Iterator[str]:
     controls = list(solution.problem.parameters.vehicle.controls)
     if "throttle" in controls:
         k = controls.index("throttle")
@@ -193,7 +199,7 @@ def _throttle(solution: Solution) -> Iterator[str]:
             yield f"the throttle is always {values[0]:g}: drive {_THROTTLE_LEVELS}"
 
 
-def _negative_delay(solution: Solution) -> Iterator[str]:
+def _negative_delay(solution: SolvedProblem) -> Iterator[str]:
     p = solution.problem.parameters
     k = p.auxiliary_index("delay")
     delay = float(solution.optimum.point.rho[k]) if k >= 0 and p.free[k] else 0.0
@@ -205,7 +211,7 @@ def _negative_delay(solution: Solution) -> Iterator[str]:
         )
 
 
-def _unidentified(solution: Solution) -> Iterator[str]:
+def _unidentified(solution: SolvedProblem) -> Iterator[str]:
     p = solution.problem.parameters
     for name in unidentified(solution):
         yield (
@@ -214,7 +220,7 @@ def _unidentified(solution: Solution) -> Iterator[str]:
         )
 
 
-def _unbounded(solution: Solution) -> Iterator[str]:
+def _unbounded(solution: SolvedProblem) -> Iterator[str]:
     p = solution.problem.parameters
     known = {*at_bound(solution), *unidentified(solution)}  # these have warnings of their own
     half = solution.uncertainty.quantile * solution.uncertainty.std
@@ -230,7 +236,7 @@ def _unbounded(solution: Solution) -> Iterator[str]:
         )
 
 
-def _correlation(solution: Solution) -> Iterator[str]:
+def _correlation(solution: SolvedProblem) -> Iterator[str]:
     reported, stated = correlations(solution.uncertainty.covariance), correlations(solution.uncertainty.graph)
     names = solution.names
     for i, j in zip(*np.nonzero(np.tri(len(names), k=-1)), strict=True):
@@ -245,7 +251,7 @@ def _correlation(solution: Solution) -> Iterator[str]:
             )
 
 
-def _residuals(solution: Solution) -> Iterator[str]:
+def _residuals(solution: SolvedProblem) -> Iterator[str]:
     ratio = residual_ratio(solution.problem, solution.optimum.point)
     whose = "measured" if solution.noise_measured else "stated"
     noise = solution.problem.noise.noise
@@ -261,7 +267,7 @@ def _residuals(solution: Solution) -> Iterator[str]:
         yield f"residuals are {np.sqrt(ratio):.2f} times as large as {expectation}: one of the two is stated too large"
 
 
-def _disagreement(solution: Solution) -> Iterator[str]:
+def _disagreement(solution: SolvedProblem) -> Iterator[str]:
     if solution.uncertainty.kind != "sandwich" or not solution.names:
         return
     graph = np.sqrt(np.diag(solution.uncertainty.graph))
@@ -279,7 +285,7 @@ def _disagreement(solution: Solution) -> Iterator[str]:
         )
 
 
-def _steering(solution: Solution) -> Iterator[str]:
+def _steering(solution: SolvedProblem) -> Iterator[str]:
     vehicle = solution.problem.parameters.vehicle
     controls = list(vehicle.controls)
     if "steering" not in controls or vehicle.index("theta") < 0:
@@ -314,23 +320,18 @@ def _steering(solution: Solution) -> Iterator[str]:
 
 def _best_correlation(steering: Floats, curvature: Floats, moving: Floats) -> float:
     """Rank correlation, robust to outliers; the largest in magnitude over delays of up to half a second."""
+    from scipy.stats import rankdata  # slow to load; the search of initial values has loaded it
+
     best = 0.0
     for shift in range(0, 11, 2):
         chosen = moving[shift:]
         if chosen.sum() < 2:  # of a short log nothing is left
             break
-        a = _ranks(steering[: len(steering) - shift][chosen])
-        b = _ranks(curvature[shift:][chosen])
+        a = rankdata(steering[: len(steering) - shift][chosen])
+        b = rankdata(curvature[shift:][chosen])
         value = float(np.corrcoef(a, b)[0, 1]) if np.std(a) > 0.0 and np.std(b) > 0.0 else 0.0
         best = value if abs(value) > abs(best) else best
     return best
-
-
-def _ranks(values: Floats) -> Floats:
-    """Ranks (n,) of values (n,); equal values share a rank."""
-    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
-    ranks: Floats = (np.cumsum(counts) - 0.5 * counts)[inverse]
-    return ranks
 
 
 def informative_manoeuvres(parameters: Parameters, *names: str) -> str:

@@ -12,7 +12,7 @@ from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.log import Log, LogSet
 from kraft.sysid.base_vehicle import load_base_vehicle
 from kraft.sysid.chains import whole_segment
-from kraft.sysid.checks import Solution, SteeringInMotion, at_bound, unidentified, warnings_of
+from kraft.sysid.checks import SolvedProblem, SteeringInMotion, at_bound, unidentified, warnings_of
 from kraft.sysid.data import screen_logs, usable_logs
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.factor_graph import FastGraph, PaperGraph
@@ -103,7 +103,7 @@ def identify(
             fit = estimator.fit(estimator.without(fit, kept), settings.iterations)
         notes.append(selection_note(auxiliary, fit.problem.parameters.auxiliary, estimator.requested))
     names = [log.name for log in estimator.logs]
-    solution = Solution(
+    solution = SolvedProblem(
         fit.problem, fit.optimum, fit.uncertainty, estimator.data, names, not settings.noise, estimator.iterations
     )
     return assemble_identification(solution, warnings_of(solution), tuple(notes))
@@ -235,7 +235,7 @@ def _identified(best: Structure, search: StructureSearch, logs: Sequence[Log], s
     problem = replace(problem, noise=noise)
     held = held_at_bounds(optimum.factors, p.low - point.rho, p.high - point.rho)
     uncertainty = estimate_uncertainty(optimum.factors, p.free, held)
-    solution = Solution(
+    solution = SolvedProblem(
         problem, replace(optimum, point=point), uncertainty, graph.smoothed, [log.name for log in logs],
         not settings.noise, search.iterations,
     )  # fmt: skip
@@ -389,7 +389,9 @@ def ahead_of_axle(parameters: Parameters, discrete_model: DiscreteModel, rho: Fl
     return float(sideways / turn) if abs(turn) > 1e-6 else None
 
 
-def assemble_identification(solution: Solution, warnings: tuple[str, ...], notes: tuple[str, ...]) -> Identification:
+def assemble_identification(
+    solution: SolvedProblem, warnings: tuple[str, ...], notes: tuple[str, ...]
+) -> Identification:
     """The result of an identification."""
     p, noise = solution.problem.parameters, solution.problem.noise
     vehicle, rho = p.vehicle, solution.optimum.point.rho
@@ -416,7 +418,7 @@ def assemble_identification(solution: Solution, warnings: tuple[str, ...], notes
     )
 
 
-def _without_log(solution: Solution) -> tuple[dict[str, float], ...]:
+def _without_log(solution: SolvedProblem) -> tuple[dict[str, float], ...]:
     p, shifts = solution.problem.parameters, solution.uncertainty.shifts
     if len(shifts) != len(solution.logs) or len(shifts) < 2:
         return ()
@@ -425,7 +427,7 @@ def _without_log(solution: Solution) -> tuple[dict[str, float], ...]:
     return tuple(dict(zip(p.names, map(float, p.within_bounds(rho)), strict=True)) for rho in rhos)
 
 
-def _estimated(solution: Solution) -> dict[str, ParameterEstimate]:
+def _estimated(solution: SolvedProblem) -> dict[str, ParameterEstimate]:
     p, rho = solution.problem.parameters, solution.optimum.point.rho
     std: Floats = np.zeros(len(rho))
     std[p.free] = solution.uncertainty.std
@@ -447,7 +449,7 @@ def _estimated(solution: Solution) -> dict[str, ParameterEstimate]:
     }
 
 
-def _log_fits(solution: Solution) -> tuple[LogFit, ...]:
+def _log_fits(solution: SolvedProblem) -> tuple[LogFit, ...]:
     problem, point, chains = solution.problem, solution.optimum.point, solution.problem.chains
     fitted = problem.observation.predict(problem.at_poses(point.states), point.rho)
     weights = problem.noise.weights(problem.pose_residuals(point))

@@ -29,6 +29,7 @@ from kraft.sysid.prediction import HORIZONS
 from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, noise_model, simulated
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.vehicle import Vehicle
 
 STEP = 0.05
@@ -243,7 +244,7 @@ def _lagging(chains: Chains, control: Floats) -> Floats:
 
 def _hats(values: Floats, knots: Floats) -> Matrix:
     """(n, knots) piecewise linear functions, each 1 at its knot and 0 at the others."""
-    return np.column_stack([np.interp(values, knots, row) for row in np.eye(len(knots))])
+    return interpolated_rows(values, knots, np.eye(len(knots)))
 
 
 def known_after(

@@ -21,6 +21,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from kraft.cores import usable_cores
 from kraft.sysid.chains import Segment, chains_of
 from kraft.sysid.dynamics import DIFFERENCE_STEP, ActuatorModel
 from kraft.sysid.initial_values import SmoothedPoses, initial_states, smooth_chains
@@ -489,8 +490,7 @@ _thread = threading.local()
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return ThreadPoolExecutor(cores, "sysid")
+    return ThreadPoolExecutor(usable_cores(), "sysid")
 
 
 if hasattr(os, "register_at_fork"):

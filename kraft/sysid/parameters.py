@@ -10,6 +10,7 @@ import numpy as np
 
 from kraft.errors import Diagnostic, InputError
 from kraft.sysid.interface import Settings
+from kraft.vehicles import DELAY_MAX
 from kraft.vehicles.config import Parameter, VehicleConfig
 from kraft.vehicles.load import configured
 from ompl_ext.arrays import Bools, Floats
@@ -241,9 +242,9 @@ class AuxiliaryParameter:
 
 def auxiliary_parameters(vehicle: Vehicle) -> dict[str, AuxiliaryParameter]:
     """Auxiliary parameters that apply to a vehicle, by name; none shares a name with a parameter of the model."""
-    found = [AuxiliaryParameter("delay", "s", DELAY_MIN, 0.5, 0.3, "time until a command takes effect")]
+    found = [AuxiliaryParameter("delay", "s", DELAY_MIN, DELAY_MAX, 0.3, "time until a command takes effect")]
     found += [
-        AuxiliaryParameter(f"delay_{name}", "s", 0.0, 0.5, 0.3, f"additional time until {name} takes effect")
+        AuxiliaryParameter(f"delay_{name}", "s", 0.0, DELAY_MAX, 0.3, f"additional time until {name} takes effect")
         for name in vehicle.controls
     ]
     found += [

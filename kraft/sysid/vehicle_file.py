@@ -15,7 +15,7 @@ from kraft.config.yaml_reader import Source, read_document
 from kraft.errors import Code, InputError
 from kraft.files import check_writable, write_whole
 from kraft.provenance import IDENTIFICATION, versions
-from kraft.sysid.acceptance import PredictionEvaluation, SpeedErrors, errors_by_speed
+from kraft.sysid.acceptance import PredictionEvaluation, errors_by_speed
 from kraft.sysid.base_vehicle import BaseVehicle
 from kraft.sysid.data import LogSplit
 from kraft.sysid.interface import Identification, ParameterEstimate, PredictionErrors
@@ -33,7 +33,6 @@ from kraft.vehicles.config import (
     PoseNoise,
     Prediction,
     Robot,
-    SpeedPrediction,
     VehicleConfig,
     with_files,
 )
@@ -312,7 +311,7 @@ def identification_record(
         fitted=_prediction(evaluation.fitted.errors),
         held_out=None if unseen is None else _prediction(unseen.errors),
         held_out_before=None if unseen is None else _prediction(unseen.initial_errors),
-        by_speed=() if unseen is None else tuple(map(_speed_prediction, errors_by_speed(unseen.identified))),
+        by_speed=() if unseen is None else errors_by_speed(unseen.identified),
         warnings=identification.warnings,
         logs=(*_logged(split.fitted, held_out=False), *_logged(split.held_out, held_out=True)),
         versions=versions(IDENTIFICATION),
@@ -331,10 +330,6 @@ def _prediction(errors: PredictionErrors) -> Prediction:
         overall_position=errors.overall_position,
         overall_yaw=errors.overall_yaw,
     )
-
-
-def _speed_prediction(errors: SpeedErrors) -> SpeedPrediction:
-    return SpeedPrediction(**{name: getattr(errors, name) for name in SpeedPrediction.model_fields})
 
 
 def _logged(logs: Sequence[Log], *, held_out: bool) -> list[Logged]:

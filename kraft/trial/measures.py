@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict
 
 from kraft.driving.messages import ContingencyOrigin, Cycle, PredictedMotion, ReferenceKind
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.vehicle import Footprint
 
 BIN: Final = 0.1
@@ -209,7 +210,7 @@ def measure(
     for span in _spans(cycles, ticks):
         predicted, kept_on = span.predicted, np.flatnonzero(driven[span.first : span.last]) + span.first
         times = ticks[kept_on]
-        expected = np.column_stack([np.interp(times, predicted.times, predicted.states[:, k]) for k in pose])
+        expected = interpolated_rows(times, predicted.times, predicted.states[:, list(pose)])
         deviation = farthest_point(truth[kept_on], expected, footprint)
         _sort_in(deviations, times - span.committed, deviation)
         if predicted.delta is not None:

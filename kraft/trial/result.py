@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from kraft.vehicles import is_car
 from kraft.vehicles.load import load_vehicle, natural_robot
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from ompl_ext.arrays import Matrix
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.vehicle import Footprint, Vehicle
 
 
@@ -243,29 +244,36 @@ STANDS: Final = 0.25
 
 
 class CauseKind(StrEnum):
-    """Kind of a cause; the first one that applies is the cause."""
+    """Kind of a cause and its meaning; the first one that applies is the cause."""
 
-    MESSAGE_LOST = "message lost"
-    """the car did not get the message of the cycle, or its watchdog stopped it"""
-    DEADLINE_MISSED = "deadline missed"
-    """planning took longer than the cycle, in a trial by the clock"""
-    CONTINGENCY_TOO_LATE = "contingency too late"
-    """when the contingency was committed, nothing verified it, or it was already predicted to touch an obstacle"""
-    UNSAFE_PLAN = "unsafe plan"
-    """the car was where it was predicted to be: the committed plan itself came too close"""
-    ESTIMATE_WRONG = "estimate wrong"
-    """the car deviated, and at least half as much as its estimated pose was wrong by"""
-    DEVIATION = "deviation"
-    """the car deviated from its prediction by more than the clearance, or from its plan until its end, though it knew
-    where it was"""
-    NO_PLAN = "no plan found"
-    """in most cycles before a timeout the planner had no plan"""
-    PLANS_REFUSED = "plans refused"
-    """in most cycles before a timeout there was a plan, but from the latest estimate it was not safe"""
-    STUCK = "stuck"
-    """the car stood before a timeout, though it was to drive"""
-    TOO_SLOW = "too slow"
-    """the car drove on until the timeout"""
+    meaning: str
+
+    def __new__(cls, value: str, meaning: str) -> Self:
+        """Make a kind that equals the string `value`."""
+        kind = str.__new__(cls, value)
+        kind._value_, kind.meaning = value, meaning
+        return kind
+
+    MESSAGE_LOST = "message lost", "the car did not get the message of the cycle, or its watchdog had stopped it"
+    DEADLINE_MISSED = "deadline missed", "planning took longer than the cycle, in a trial by the clock"
+    CONTINGENCY_TOO_LATE = (
+        "contingency too late",
+        "nothing verified the committed contingency, or it was predicted to come too close",
+    )
+    UNSAFE_PLAN = "unsafe plan", "the car was where it was predicted to be, and the plan itself came too close"
+    ESTIMATE_WRONG = (
+        "estimate wrong",
+        "the car deviated from its prediction, at least half of it because of a wrong estimate",
+    )
+    DEVIATION = (
+        "deviation",
+        "the car deviated by more than the clearance δ(v), or than the distance to the obstacle, or "
+        "from its plan until the plan's end, though it knew where it was",
+    )
+    NO_PLAN = "no plan found", "in most cycles before the timeout the planner had no plan"
+    PLANS_REFUSED = "plans refused", "in most cycles before the timeout the plan was not safe from the latest estimate"
+    STUCK = "stuck", "the car stood before the timeout, though it had plans"
+    TOO_SLOW = "too slow", "the car drove on until the timeout"
 
 
 class Cause(Record):
@@ -363,7 +371,7 @@ def estimate_errors(
     kept = (own >= since) & (own <= times[-1] + 1e-9)
     if not kept.any():
         kept = own == own[0]
-    there = np.column_stack([np.interp(own[kept], times, true[:, k]) for k in range(3)])
+    there = interpolated_rows(own[kept], times, true)
     estimated = np.array([step.estimate[list(pose)] for step in steps])[kept]
     errors: list[float] = farthest_point(there, estimated, footprint).tolist()
     return errors
@@ -383,7 +391,7 @@ def _deviation(cycle: Cycle, step: Step, footprint: Footprint, pose: Sequence[in
     """Largest distance of a point of the car from where a cycle predicts it, m; from its reference after that."""
     predicted = cycle.predicted
     if step.time <= predicted.times[-1] + 1e-9:
-        expected = np.array([np.interp(step.time, predicted.times, predicted.states[:, k]) for k in pose])
+        expected = interpolated_rows(step.time, predicted.times, predicted.states[:, list(pose)])
     else:
         expected = cycle.reference.state_at(step.time)[list(pose)]
     return float(farthest_point(np.array([step.pose]), expected[None, :], footprint)[0])

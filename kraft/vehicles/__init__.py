@@ -1,7 +1,7 @@
 """Vehicle models, each a derivative over tuples, and their loading; parameters are in `configs/vehicles/`.
 
-Here is what all of them have in common: whether a vehicle is a car, the units of controls where it states them, and the
-force by a slope of the floor.
+Here is what all of them have in common: whether a vehicle is a car, the units of controls where it states them, the
+longest delay of commands, and the force by a slope of the floor.
 """
 
 from __future__ import annotations
@@ -41,6 +41,9 @@ def control_title(vehicle: Vehicle, name: str) -> str:
     words, unit = name.replace("_", " "), control_unit(vehicle, name)
     return f"{words}, {unit}" if unit else words
 
+
+DELAY_MAX: Final = 0.5
+"""Longest delay of commands that a vehicle may state and that is estimated, s."""
 
 FORCE: Final = ("a_x", "a_y")
 """Parameters that are the acceleration by a force along x and y, m/s^2, as on a slope."""

@@ -25,7 +25,7 @@ from kraft.config.schema import Length, Name, NonNegative, Positive, StrictModel
 from kraft.config.yaml_reader import KeyPath, Source
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
-from kraft.vehicles import FORCE
+from kraft.vehicles import DELAY_MAX, FORCE
 from kraft.vehicles.reference import VehicleProblem, is_code, resolve_vehicle
 from ompl_ext.vehicle import ParameterRange
 
@@ -57,7 +57,7 @@ _SpeedSchema = Annotated[float, Field(gt=0, le=100)] | Symbol
 class Delay(StrictModel):
     """Delay of commands, as far as it is known before a drive."""
 
-    value: Annotated[float, Field(ge=0, le=0.5)]
+    value: Annotated[float, Field(ge=0, le=DELAY_MAX)]
     """time until a command takes effect, s"""
     std: Positive
     """standard deviation, with what may change from day to day, s"""

@@ -24,6 +24,7 @@ from kraft.trial.measures import Step
 from kraft.trial.result import TrialSpec
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.plan import TreeView
 from ompl_ext.vehicle import Vehicle
 
@@ -224,7 +225,7 @@ def resampled(points: Matrix, spacing: float) -> Matrix:
     if along[-1] <= 0.0:
         return points[:1]
     places = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / spacing)) + 1))
-    return np.column_stack([np.interp(places, along, column) for column in points.T])
+    return interpolated_rows(places, along, points)
 
 
 def segments(points: Matrix) -> Floats:

@@ -145,7 +145,7 @@ def _cells(rng: np.random.Generator, size: Size, openings_of: Callable[[int, int
 def _maze(rng: np.random.Generator, size: Size, density: float) -> dict[str, Any]:
     """A maze in which every cell is reached, with some openings more, so that there are several ways."""
 
-    def openings(columns: int, rows: int) -> list[tuple[layouts.Cell, layouts.Cell]]:
+    def openings(columns: int, rows: int) -> list[tuple[layouts.GridCell, layouts.GridCell]]:
         found = layouts.passages(rng, columns, rows)
         for _ in range(columns * rows // 6):
             column, row = int(rng.integers(columns - 1)), int(rng.integers(rows - 1))
@@ -158,7 +158,7 @@ def _maze(rng: np.random.Generator, size: Size, density: float) -> dict[str, Any
 def _corridor(rng: np.random.Generator, size: Size, density: float) -> dict[str, Any]:
     """The one way through a maze, without its dead ends."""
 
-    def openings(columns: int, rows: int) -> list[tuple[layouts.Cell, layouts.Cell]]:
+    def openings(columns: int, rows: int) -> list[tuple[layouts.GridCell, layouts.GridCell]]:
         way = layouts.way_through(layouts.passages(rng, columns, rows), (columns - 1, rows - 1))
         return list(itertools.pairwise(way))
 

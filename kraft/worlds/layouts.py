@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 Obstacle: TypeAlias = dict[str, Any]
 Gap: TypeAlias = tuple[float, float]
-Cell: TypeAlias = tuple[int, int]
+GridCell: TypeAlias = tuple[int, int]
 """Column and row."""
 Vec2: TypeAlias = tuple[float, float]
 
@@ -133,9 +133,9 @@ def posts(
     return found
 
 
-def passages(rng: np.random.Generator, columns: int, rows: int) -> list[tuple[Cell, Cell]]:
+def passages(rng: np.random.Generator, columns: int, rows: int) -> list[tuple[GridCell, GridCell]]:
     """Openings between neighbouring cells of which each cell is reached from each other one on exactly one way."""
-    reached: dict[Cell, None] = {(0, 0): None}
+    reached: dict[GridCell, None] = {(0, 0): None}
     way, found = [(0, 0)], []
     while way:
         column, row = way[-1]
@@ -151,9 +151,9 @@ def passages(rng: np.random.Generator, columns: int, rows: int) -> list[tuple[Ce
     return found
 
 
-def way_through(openings: Sequence[tuple[Cell, Cell]], goal: Cell) -> list[Cell]:
+def way_through(openings: Sequence[tuple[GridCell, GridCell]], goal: GridCell) -> list[GridCell]:
     """Cells from the first one to the goal, along openings of `passages`."""
-    before: dict[Cell, Cell] = {}
+    before: dict[GridCell, GridCell] = {}
     for cell, after in openings:
         before.setdefault(after, cell)  # the first one is that of `passages`; further openings would make circles
     before.pop((0, 0), None)
@@ -163,7 +163,9 @@ def way_through(openings: Sequence[tuple[Cell, Cell]], goal: Cell) -> list[Cell]
     return way[::-1]
 
 
-def walls_between(openings: Sequence[tuple[Cell, Cell]], columns: int, rows: int, pitch: float) -> list[Obstacle]:
+def walls_between(
+    openings: Sequence[tuple[GridCell, GridCell]], columns: int, rows: int, pitch: float
+) -> list[Obstacle]:
     """Walls between all neighbouring cells without an opening; walls in one line are one rectangle."""
     opened = {frozenset(pair) for pair in openings}
     found = []

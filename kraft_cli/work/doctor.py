@@ -13,6 +13,7 @@ from typing import Final, Literal, TypeAlias
 
 from kraft import __version__
 from kraft.config import bundled
+from kraft.cores import usable_cores
 from kraft.errors import InputError, MissingAsset, MissingDependency
 from kraft.files import check_writable
 from kraft.gl import BACKENDS
@@ -116,8 +117,7 @@ def _extra(name: str, module: str, purpose: str) -> Finding:
 
 
 def _processor() -> Finding:
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return Finding("cpu", "ok", f"{counted(usable or 1, 'core')}, {platform.machine()}")
+    return Finding("cpu", "ok", f"{counted(usable_cores(), 'core')}, {platform.machine()}")
 
 
 def _cache() -> Finding:

@@ -14,8 +14,8 @@ from support.evaluation import KEYS
 from kraft.config import bundled
 from kraft.evaluation import labels, markdown, overview, summary, tables
 from kraft.evaluation.experiment import METHODS, Experiment, experiment_of, manifest_of
-from kraft.evaluation.folder import write_benchmark
 from kraft.evaluation.journal import Key, Measured, TrialRow
+from kraft.evaluation.ompl_benchmark import write_benchmark
 from kraft.evaluation.report.results import Manifest
 from kraft.evaluation.statistics import wilson
 from kraft.evaluation.suite import load_suite

@@ -28,7 +28,7 @@ from kraft.evaluation.report.entry import (
     trials_section,
 )
 from kraft.evaluation.report.methods import Shown, measures_table, methods
-from kraft.evaluation.report.results import VERSIONS, Cell, Results
+from kraft.evaluation.report.results import VERSIONS, RecordedCell, Results
 from kraft.evaluation.report.sweeps import settings_text, sweep_pictures, sweeps
 from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted, decimals
@@ -407,24 +407,10 @@ def causes(results: Results) -> Element | None:
     )  # fmt: skip
 
 
-MEANINGS = {
-    CauseKind.MESSAGE_LOST: "the car did not get the message of the cycle, or its watchdog had stopped it",
-    CauseKind.DEADLINE_MISSED: "planning took longer than the cycle, in a trial by the clock",
-    CauseKind.CONTINGENCY_TOO_LATE: "nothing verified the committed contingency, or it was predicted to come too close",
-    CauseKind.UNSAFE_PLAN: "the car was where it was predicted to be, and the plan itself came too close",
-    CauseKind.ESTIMATE_WRONG: "the car deviated from its prediction, at least half of it because of a wrong estimate",
-    CauseKind.DEVIATION: "the car deviated by more than the clearance δ(v), or than the distance to the obstacle, or "
-    "from its plan until the plan's end, though it knew where it was",
-    CauseKind.NO_PLAN: "in most cycles before the timeout the planner had no plan",
-    CauseKind.PLANS_REFUSED: "in most cycles before the timeout the plan was not safe from the latest estimate",
-    CauseKind.STUCK: "the car stood before the timeout, though it had plans",
-    CauseKind.TOO_SLOW: "the car drove on until the timeout",
-    UNRECORDED: "the trial is of an older kraft",
-}
-"""What each cause means."""
+MEANINGS: Final = {str(kind): kind.meaning for kind in CauseKind} | {UNRECORDED: "the trial is of an older kraft"}
 
 
-def settings_of(cell: Cell) -> str:
+def settings_of(cell: RecordedCell) -> str:
     """What an entry sets, and its scenario where the name does not state it."""
     label = cell.base or cell.name
     parts = [] if label == cell.scenario else [cell.scenario]
@@ -441,7 +427,7 @@ def chip(result: Result) -> Element:
     return element("span", *text, class_="chip ends", style=count.bar, title=count.others or None)
 
 
-def _name(results: Results, cell: Cell) -> list[Content]:
+def _name(results: Results, cell: RecordedCell) -> list[Content]:
     settings = settings_of(cell)
     link = element("a", cell.base or cell.name, href=f"#{results.slugs[cell.name]}")
     return [link, element("small", settings, title=settings) if settings else None]

@@ -35,8 +35,8 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
 
-class Cell(_Part):
-    """Row of a table; older manifests have no title and no entries."""
+class RecordedCell(_Part):
+    """Cell of the experiment as the manifest records it; older manifests have no title and no entries."""
 
     entry: str = ""
     base: str = ""
@@ -68,7 +68,7 @@ class Manifest(_Part):
     seed: int
     realtime: bool
     bounds_s: dict[str, float] = {}
-    rows: tuple[Cell, ...] = Field(min_length=1)
+    rows: tuple[RecordedCell, ...] = Field(min_length=1)
     scenarios: dict[str, Hashed]
     vehicles: dict[str, Any]
     versions: dict[str, str]
@@ -153,9 +153,9 @@ class Results:
         return cls(Manifest.model_validate(content), rows, summary, known, command_line, replays)
 
     @cached_property
-    def entries(self) -> dict[str, Cell]:
+    def entries(self) -> dict[str, RecordedCell]:
         """A row of each entry by the entry's name, in their order."""
-        found: dict[str, Cell] = {}
+        found: dict[str, RecordedCell] = {}
         for cell in self.manifest.rows:
             found.setdefault(cell.name, cell)
         return found

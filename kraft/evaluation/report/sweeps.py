@@ -18,7 +18,7 @@ from kraft.config.schema import lookup
 from kraft.config.yaml_reader import parse_path
 from kraft.evaluation.journal import success_times
 from kraft.evaluation.report.elements import Content, element, number, svg
-from kraft.evaluation.report.results import Cell, Results
+from kraft.evaluation.report.results import RecordedCell, Results
 from kraft.evaluation.statistics import mean_interval, wilson
 from kraft.evaluation.summary import Result
 from kraft.scenario.schema import ScenarioFile
@@ -137,9 +137,9 @@ def settings_text(settings: Mapping[str, Any]) -> str:
     return ", ".join(f"{key} = {value_text(value)}" for key, value in settings.items())
 
 
-def _bases(results: Results) -> dict[str, list[Cell]]:
+def _bases(results: Results) -> dict[str, list[RecordedCell]]:
     """Entries by their name before varying; older manifests have none."""
-    found: dict[str, list[Cell]] = {}
+    found: dict[str, list[RecordedCell]] = {}
     for cell in results.entries.values():
         found.setdefault(cell.base or cell.name, []).append(cell)
     return found

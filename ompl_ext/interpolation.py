@@ -1,0 +1,15 @@
+"""Linear interpolation of trajectories and of other tables with a row for each time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ompl_ext.arrays import Floats, Matrix
+
+
+def interpolated_rows(x: Floats | float, knots: Floats, rows: Matrix) -> Floats:
+    """Rows (n, k) at `x` (n,), or one row (k,) at a number, of `rows` (m, k) that are known at `knots` (m,), ascending.
+
+    Before the first knot and after the last one it is the row there, as `numpy.interp` has it.
+    """
+    return np.stack([np.interp(x, knots, column) for column in rows.T], axis=-1)
