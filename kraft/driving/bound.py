@@ -20,6 +20,7 @@ from kraft.driving.messages import PredictedMotion, Uncertainty
 from kraft.driving.method import CalibratedBound
 from kraft.planning.workspace import displacement
 from ompl_ext.arrays import Floats
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.query import Safety
 from ompl_ext.vehicle import Vehicle
 
@@ -145,7 +146,7 @@ class BoundCalibration:
         predicted, bound = self._last
         if time > predicted.times[-1] + 1e-9:
             return
-        expected = np.array([np.interp(time, predicted.times, column) for column in predicted.states.T])
+        expected = interpolated_rows(time, predicted.times, predicted.states)
         deviation = displacement(state, expected, self._vehicle)
         speed = expected[[self._vehicle.rest_indices[0]]]
         ratio = deviation / float(bound.at(speed, np.array([time - predicted.times[0]]))[0])

@@ -20,6 +20,7 @@ from kraft.driving.references import holding_control, manoeuvre_reference
 from kraft.driving.vehicle_model import VehicleModel, stop_control
 from kraft.planning.workspace import poses_of
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.solver import DirtSolver
 
 FOLLOWED: Final = (0.3, 0.6, 1.0)
@@ -170,7 +171,7 @@ class ContingencyRanking:
             return None
         places = np.concatenate([[0.0], np.hypot(*np.diff(path[:, [model.x, model.y]], axis=0).T).cumsum()])
         speeds, arc_lengths = self._creeping_speeds(state, min(CREEPING_LENGTH, float(places[-1])))
-        states = np.column_stack([np.interp(arc_lengths, places, column) for column in path.T])
+        states = interpolated_rows(np.array(arc_lengths), places, path)
         others = model.velocities[1:]  # they stay in proportion to the speed
         states[:, others] *= (np.array(speeds) / np.maximum(states[:, model.v], speeds))[:, None]
         states[:, model.v] = speeds

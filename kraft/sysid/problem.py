@@ -34,7 +34,7 @@ CONTROL_SHARE = 0.01
 """Standard deviation of the applied control from the command, as a share of the control's range."""
 
 
-class Observation:
+class ObservationModel:
     """Poses observed of a vehicle's states, with a lever arm and a yaw offset if rho has them."""
 
     def __init__(self, parameters: Parameters) -> None:
@@ -125,8 +125,8 @@ def _poses_of_windows(
 poses_of_windows = compiled(
     _poses_of_windows, folder=cache_folder(f"poses-{hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]}")
 )
-"""poses_of_windows(states, lane, step, share, shown, offset, out): see `Observation.of_windows`; `shown` (3,) are the
-indices of x, y and yaw in the state, `offset` (3,) lever, side and yaw offset."""
+"""poses_of_windows(states, lane, step, share, shown, offset, out): see `ObservationModel.of_windows`; `shown` (3,) are
+the indices of x, y and yaw in the state, `offset` (3,) lever, side and yaw offset."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +213,7 @@ class Problem:
     chains: Chains
     actuators: ActuatorModel
     dynamics: Dynamics
-    observation: Observation
+    observation: ObservationModel
     noise: NoiseModel
     frames: Floats | None = None
     """(n, 3, 3) that take the residual of a pose to the directions and units of its noise; those of the pose if None"""
@@ -279,7 +279,7 @@ def assemble(segments: Sequence[Segment], logs: int, parameters: Parameters, noi
         chains_of(segments, logs),
         ActuatorModel(segments, parameters),
         Dynamics(parameters),
-        Observation(parameters),
+        ObservationModel(parameters),
         noise,
     )
 

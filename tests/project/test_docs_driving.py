@@ -16,7 +16,6 @@ from kraft.driving.bound import LATER_DELAY, LATER_DELTA, LATER_GROWTH
 from kraft.driving.control_settings import Dwa, Geometric, Kinodynamic, Lqr, Mppi, Nmpc, Predictive, RolloutCost
 from kraft.driving.estimation.adaptive import PASSING_FORCE, PASSING_TIME, SLOW
 from kraft.driving.estimation.correlated_filter import MOVED_AFTER
-from kraft.driving.estimation.dead_reckoning import DELAY_MAX
 from kraft.driving.estimation.drive_history import DRIVE_MAX, SEEN, SEEN_DEVIATIONS, SEEN_WAY
 from kraft.driving.estimation.pose_noise import LAG, PRIOR_CORRELATION, PRIOR_SAMPLES
 from kraft.driving.estimation.sliding_window import NOTICED, SIGNIFICANT
@@ -47,6 +46,7 @@ from kraft.driving.search_budget import PATIENCE
 from kraft.driving.solvers import COVER_EXCESS
 from kraft.scenario import Sensing
 from kraft.simulation.camera import BLURRED_SPEED, PRESETS
+from kraft.vehicles import DELAY_MAX
 
 PAGES = ("driving", "clearance", "estimation", "control")
 TEXT = "\n".join((ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8") for page in PAGES)

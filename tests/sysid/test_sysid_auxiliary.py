@@ -14,7 +14,7 @@ from kraft.errors import Code, InputError
 from kraft.sysid import Identification, Settings, identify, prediction_errors
 from kraft.sysid.dynamics import DiscreteModel, Dynamics, hat_means, through_play
 from kraft.sysid.parameters import auxiliary_parameters, parameters_of, vehicle_of
-from kraft.sysid.problem import Observation
+from kraft.sysid.problem import ObservationModel
 from kraft.sysid.selection import check_free_parameters, selection_note
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from ompl_ext.trigonometry import cos, sin
@@ -140,7 +140,7 @@ def test_a_parameter_of_the_model_is_no_extra_whatever_it_is_called() -> None:
     parameters = parameters_of(cart, Settings(auxiliary=("delay",)), ("delay",))
     assert [parameters.auxiliary_index(name) for name in ("friction", "lever", "delay")] == [-1, -1, 2]
     x, u = np.array([[0.0, 0.0, 0.1, 0.5]]), np.array([[0.7, 0.1]])
-    assert Observation(parameters).predict(x, parameters.nominal) == pytest.approx(x[:, :3])
+    assert ObservationModel(parameters).predict(x, parameters.nominal) == pytest.approx(x[:, :3])
     plain = DiscreteModel(cart).step(x, u, cart.parameter_array, np.array([0.05]))
     assert Dynamics(parameters).step(x, u, parameters.nominal, np.array([0.05])) == pytest.approx(plain)
 

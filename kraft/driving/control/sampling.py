@@ -20,6 +20,7 @@ from kraft.driving.control_settings import Dwa, Mppi, RolloutCost
 from kraft.driving.messages import Controller, Estimate, Reference, ReferenceKind
 from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats, Floats32Cube, Matrix
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.specialise import optional_module
 from ompl_ext.solver import DirtSolver
@@ -185,8 +186,8 @@ class MppiController:
 
 def moved(controls: Matrix, steps: float) -> Matrix:
     """Controls (n, nu) after some steps, between samples interpolated; the last one is held."""
-    rows = np.arange(len(controls))
-    return np.column_stack([np.interp(rows + steps, rows, column) for column in controls.T])
+    rows: Floats = np.arange(len(controls), dtype=float)
+    return interpolated_rows(rows + steps, rows, controls)
 
 
 def updated(nominal: Matrix, noise: Floats32Cube, costs: Floats, temperature: float) -> Matrix:

@@ -17,7 +17,7 @@ import numpy as np
 
 from kraft.driving.estimation.camera_model import CameraModel
 from kraft.driving.estimation.correlated_filter import CorrelatedFilter
-from kraft.driving.estimation.dead_reckoning import DELAY_MAX, with_identified_drift
+from kraft.driving.estimation.dead_reckoning import with_identified_drift
 from kraft.driving.estimation.drive_history import DRIVE_MAX, Drive, DriveHistory
 from kraft.driving.estimation.pose_noise import NoiseEstimate
 from kraft.driving.estimation.sliding_window import Identified, SlidingWindow
@@ -34,7 +34,7 @@ from kraft.driving.method import RANGES_EXPECTED, Adaptive, unstated_ranges
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
-from kraft.vehicles import FORCE
+from kraft.vehicles import DELAY_MAX, FORCE
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 

@@ -13,15 +13,12 @@ import numpy as np
 from kraft.driving.messages import Estimate, Observation
 from kraft.driving.method import Adaptive, Latest
 from kraft.driving.vehicle_model import VehicleModel
+from kraft.vehicles import DELAY_MAX
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
 Advance = Callable[[Floats, Floats, float], Floats]
 """Function from a state (nx,), a control (nu,) and a duration (s) to the next state (nx,)."""
-
-
-DELAY_MAX: Final = 0.5
-"""Longest delay of commands, s: commands are kept that much longer than their effects are needed."""
 
 
 class Commands:
@@ -57,7 +54,7 @@ class Commands:
             begin, k = until, k + 1
 
     def forget(self, before: float) -> None:
-        """Drop the commands that are not needed for times from `before` (s) on."""
+        """Drop the commands that are not needed for times from `before` (s) on, whatever the delay."""
         k = bisect_right(self._times, before - DELAY_MAX) - 1
         del self._times[:k], self._controls[:k]
 

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.estimation.dead_reckoning import DELAY_MAX
 from kraft.driving.messages import Observation
 from kraft.driving.vehicle_model import VehicleModel
+from kraft.vehicles import DELAY_MAX
 from ompl_ext.arrays import Floats, Matrix
 
 MARGIN: Final = 0.5

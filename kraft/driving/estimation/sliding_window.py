@@ -16,7 +16,7 @@ import numpy as np
 
 from kraft.driving.estimation.camera_model import CameraModel
 from kraft.driving.estimation.drive_history import MARGIN, Drive
-from kraft.driving.estimation.sloping_floor import SLOPE, SlopingObservation
+from kraft.driving.estimation.sloping_floor import SLOPE, SlopingObservationModel
 from kraft.logs.log import Part
 from kraft.sysid.chains import Segment, segment_between
 from kraft.sysid.factor_graph import FastGraph
@@ -25,6 +25,7 @@ from kraft.sysid.optimiser import optimise
 from kraft.sysid.parameters import Parameters
 from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, threshold
 from ompl_ext.arrays import Bools, Floats, Matrix
+from ompl_ext.interpolation import interpolated_rows
 
 POSES_MIN: Final = 5
 """Number of poses below which a stretch of motion is not used."""
@@ -114,7 +115,7 @@ class SlidingWindow:
         self._may_change = parameters.free & of_model & [spec.unit != "m" for spec in parameters.specs]
         self._turning, self._camera = turning, camera
         sloping = parameters.auxiliary_index(SLOPE[0]) >= 0
-        self._observation = SlopingObservation(parameters, camera) if camera is not None and sloping else None
+        self._observation = SlopingObservationModel(parameters, camera) if camera is not None and sloping else None
         self._changed_at: float | None = None
 
     def set_std(self, k: int, std: float) -> None:
@@ -259,7 +260,7 @@ class SlidingWindow:
     def _start(self, problem: Problem, drive: Drive) -> Point:
         """The filter's states, and controls as commanded."""
         times = np.concatenate([s.times for s in problem.chains.segments])
-        states = np.column_stack([np.interp(times, drive.times, column) for column in drive.states.T])
+        states = interpolated_rows(times, drive.times, drive.states)
         return Point(states, problem.actuators.mean(self.rho)[0], self.rho.copy())
 
 

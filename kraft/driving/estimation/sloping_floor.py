@@ -13,7 +13,7 @@ import numpy as np
 
 from kraft.driving.estimation.camera_model import CameraModel
 from kraft.sysid.parameters import Parameters, ParameterSpec
-from kraft.sysid.problem import Observation
+from kraft.sysid.problem import ObservationModel
 from kraft.vehicles import FORCE, STEEPEST, felt_gravity
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
@@ -45,7 +45,7 @@ def possible(slope: Floats) -> Floats:
     return slope * min(1.0, STEEPEST / max(float(np.linalg.norm(slope)), 1e-9))
 
 
-class SlopingObservation(Observation):
+class SlopingObservationModel(ObservationModel):
     """Poses of a vehicle on a floor of which rho has the slope, as a camera measures them that takes it as level."""
 
     def __init__(self, parameters: Parameters, camera: CameraModel) -> None:
