@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from kraft.cores import usable_cores
+from ompl_ext.cores import usable_cores
 
 PACKAGES = ("ompl", "numpy", "numba", "llvmlite", "scipy", "python-fcl", "mujoco")
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from kraft.cores import usable_cores
 from kraft.driving.control import check_packages, kernel_modules, needs_steps
 from kraft.errors import Code, Diagnostic, Problems, Unreachable, out_of_range
 from kraft.evaluation.executors import Cluster, Executor, Log, Processes
@@ -21,6 +20,7 @@ from kraft.evaluation.suite import ScenarioLike, Settings, Sweeps, entries_of
 from kraft.evaluation.summary import Summary, summarise
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
+from ompl_ext.cores import usable_cores
 
 
 class Observer:

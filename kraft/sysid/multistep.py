@@ -21,7 +21,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from kraft.cores import usable_cores
 from kraft.sysid.chains import Segment, chains_of
 from kraft.sysid.dynamics import DIFFERENCE_STEP, ActuatorModel
 from kraft.sysid.initial_values import SmoothedPoses, initial_states, smooth_chains
@@ -31,6 +30,7 @@ from kraft.sysid.problem import NoiseModel, Point, Problem, assemble
 from kraft.sysid.smoothing import NEIGHBOURS
 from kraft.sysid.windows import Acting, Variation, Windows, controls_in_parts, places
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
+from ompl_ext.cores import usable_cores
 
 START_NOISE = 3.0
 """Standard deviation of an initial pose from the smoothed one, over the noise of a pose."""

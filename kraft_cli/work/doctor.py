@@ -13,11 +13,11 @@ from typing import Final, Literal, TypeAlias
 
 from kraft import __version__
 from kraft.config import bundled
-from kraft.cores import usable_cores
 from kraft.errors import InputError, MissingAsset, MissingDependency
 from kraft.files import check_writable
 from kraft.gl import BACKENDS
 from kraft.text import counted
+from ompl_ext.cores import usable_cores
 
 State: TypeAlias = Literal["ok", "note", "missing"]
 

@@ -9,7 +9,6 @@ everywhere else.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
@@ -18,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ompl_ext.arrays import Bools, Floats, Floats32, IntMatrix32, Matrix, Matrix32, Words16, Words16Matrix, int64
+from ompl_ext.cores import usable_cores
 from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernels.distance import Shapes, column_distance, interpolated, lower_points, near_shapes, shapes
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
@@ -32,7 +32,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
 from ompl_ext.obstacles import Circle, Polygon
 
 TILE = 16  # cells along the side of a tile
-THREADS = min(4, os.cpu_count() or 1)
+THREADS = min(4, usable_cores())  # that compute the lattice
 TILES = 8  # tiles along the side of a block
 VERTICES = (TILE + 1) * (TILE + 1)  # of a tile; neighbours have those on their common side twice
 LARGEST_SPACINGS = 255  # distance in spacings that a vertex can store
