@@ -30,8 +30,8 @@ from kraft.scenario.schema import (
     Trial,
 )  # fmt: skip
 from kraft.scenario.truth import Truth
-from kraft.vehicles.config import with_files
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
+from kraft.vehicles.true_robot import with_files
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from pydantic_core import PydanticCustomError
 from kraft.config.schema import LENGTH_MIN, Angle, Length, Point, Positive, Size, Span, StrictModel, refuse
 from kraft.config.yaml_reader import KeyPath
 from kraft.errors import Code
-from kraft.vehicles.config import Robot
+from kraft.vehicles.true_robot import Robot
 
 Friction = Annotated[float, Field(gt=0, le=10)]
 Factor = Annotated[float, Field(gt=0, le=10)]

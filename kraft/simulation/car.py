@@ -17,7 +17,7 @@ from kraft.driving.vehicle_model import interpolate
 from kraft.scenario.truth import VehicleGap
 from kraft.simulation import contacts
 from kraft.vehicles import GRAVITY
-from kraft.vehicles.config import CarDimensions
+from kraft.vehicles.true_robot import CarDimensions
 
 POSITION: Final = int(mujoco.mjtCtrlInput.mjINPUT_POS)
 """The servos take an angle; by default MuJoCo's would take an angular velocity as well."""

@@ -29,8 +29,8 @@ from kraft.simulation.scene import build
 from kraft.simulation.world import TIMESTEP, World, is_in_goal
 from kraft.text import suggestion
 from kraft.vehicles import CAR_CONTROLS, FORCE, STEEPEST, felt_gravity
-from kraft.vehicles.config import CarDimensions, Robot
 from kraft.vehicles.load import load_vehicle, natural_robot
+from kraft.vehicles.true_robot import CarDimensions, Robot
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels.specialise import kernels

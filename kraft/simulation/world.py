@@ -23,7 +23,7 @@ from kraft.simulation.contacts import Collision, CollisionDetector
 from kraft.simulation.floor_frame import FloorFrame
 from kraft.simulation.robots import SimulatedCar, SimulatedRobot
 from kraft.simulation.scene import build, set_friction
-from kraft.vehicles.config import CarDimensions
+from kraft.vehicles.true_robot import CarDimensions
 from ompl_ext.arrays import Floats, Matrix
 
 TIMESTEP: Final = 0.002

@@ -38,7 +38,8 @@ from kraft.sysid.prediction import (
 )
 from kraft.sysid.smoothing import thinned
 from kraft.text import counted
-from kraft.vehicles.config import SpeedPrediction, VehicleConfig
+from kraft.vehicles.config import VehicleConfig
+from kraft.vehicles.identification_record import SpeedPrediction
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 

@@ -15,12 +15,7 @@ from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.interface import Identification
 from kraft.sysid.smoothing import high_speed
 from kraft.vehicles.code import check_functions, vehicle_of
-from kraft.vehicles.config import (
-    Footprint,
-    Parameter,
-    VehicleConfig,
-    with_files,
-)
+from kraft.vehicles.config import Footprint, Parameter, VehicleConfig
 from kraft.vehicles.load import (
     RecordedVehicle,
     configured,
@@ -30,6 +25,7 @@ from kraft.vehicles.load import (
     units_of,
 )
 from kraft.vehicles.reference import is_code, resolve_vehicle, split_file
+from kraft.vehicles.true_robot import with_files
 from ompl_ext.kernels.specialise import are_steps_cached
 from ompl_ext.vehicle import Vehicle
 

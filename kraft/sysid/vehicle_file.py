@@ -21,22 +21,18 @@ from kraft.sysid.data import LogSplit
 from kraft.sysid.interface import Identification, ParameterEstimate, PredictionErrors
 from kraft.sysid.screening import CommandUnit
 from kraft.text import counted
-from kraft.vehicles.config import (
+from kraft.vehicles.config import Delay, Footprint, Parameter, VehicleConfig
+from kraft.vehicles.identification_record import (
     CommandScale,
     Covariance,
-    Delay,
     Extra,
-    Footprint,
     IdentificationRecord,
     Logged,
-    Parameter,
     PoseNoise,
     Prediction,
-    Robot,
-    VehicleConfig,
-    with_files,
 )
 from kraft.vehicles.reference import split_file
+from kraft.vehicles.true_robot import Robot, with_files
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log

@@ -18,19 +18,11 @@ from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles import is_car
 from kraft.vehicles.code import check_functions, vehicle_of
-from kraft.vehicles.config import (
-    SPEED_EXPECTED,
-    CarDimensions,
-    Delay,
-    Parameter,
-    Robot,
-    SpeedPrediction,
-    VehicleConfig,
-    load_vehicle_config,
-    with_files,
-)
+from kraft.vehicles.config import SPEED_EXPECTED, Delay, Parameter, VehicleConfig, load_vehicle_config
 from kraft.vehicles.config import Footprint as StatedFootprint
+from kraft.vehicles.identification_record import SpeedPrediction
 from kraft.vehicles.reference import VehicleProblem, is_code, resolve_vehicle, split_file
+from kraft.vehicles.true_robot import CarDimensions, Robot, with_files
 from ompl_ext.vehicle import Footprint, OpenLoopErrors, Vehicle
 
 

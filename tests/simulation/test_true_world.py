@@ -18,8 +18,8 @@ from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
 from kraft.simulation.car import F1TENTH, MUSHR, design_of
 from kraft.simulation.true_world import ModelWorld, TrueWorld, check_world, world_of
 from kraft.simulation.world import World
-from kraft.vehicles.config import CarDimensions, Drive, Servo, Wheels
 from kraft.vehicles.load import load_vehicle
+from kraft.vehicles.true_robot import CarDimensions, Drive, Servo, Wheels
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle
 

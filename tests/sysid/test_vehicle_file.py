@@ -37,7 +37,8 @@ from kraft.sysid.vehicle_file import (
     vehicle_text,
     write_vehicle,
 )
-from kraft.vehicles.config import Parameter, SpeedPrediction, VehicleConfig, load_vehicle_config
+from kraft.vehicles.config import Parameter, VehicleConfig, load_vehicle_config
+from kraft.vehicles.identification_record import SpeedPrediction
 from kraft.vehicles.load import RecordedVehicle, load_vehicle, natural_robot
 from kraft_cli.main import main
 
