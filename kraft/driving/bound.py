@@ -32,6 +32,14 @@ LATER_DELAY: Final = 0.1
 """Part of the bound for the speed that is expected there, at most, s."""
 UNCORRECTED: Final = 0.5
 """Time for which a wrong acceleration moves the vehicle until the controller corrects its effect, s."""
+RATIOS: Final = 33
+"""Number of shapes of an ellipse for which quantiles are tabulated."""
+ANGLES: Final = 64
+"""Number of directions of a deviation over which its probability is integrated."""
+HALVINGS: Final = 50
+"""Number of halvings of the interval in which a quantile is looked for."""
+LARGEST: Final = 10.0
+"""Its end, standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -80,41 +88,6 @@ class DeviationBound:
         """Bound that is expected for the later part of a plan: delay and drive will be known better then."""
         grown = math.hypot(max(self.delta, LATER_DELTA), min(self.per_time, LATER_GROWTH) * self.horizon)
         return DeviationBound(grown, min(self.per_speed, LATER_DELAY), fastest=self.fastest)
-
-
-def _chord(constant: float, slope: float, end: float) -> float:
-    """Slope of the chord from 0 to `end` of the root of `constant`^2 + (`slope` x)^2; without an end it is `slope`."""
-    if end == 0.0 or constant == 0.0 or math.isinf(end):
-        return slope
-    return (math.hypot(constant, slope * end) - constant) / end
-
-
-RATIOS: Final = 33
-"""Number of shapes of an ellipse for which quantiles are tabulated."""
-ANGLES: Final = 64
-"""Number of directions of a deviation over which its probability is integrated."""
-HALVINGS: Final = 50
-"""Number of halvings of the interval in which a quantile is looked for."""
-LARGEST: Final = 10.0
-"""Its end, standard deviations."""
-
-
-@cache
-def radius_quantiles(level: float) -> tuple[Floats, Floats]:
-    """Ratios (n,) of the axes of an ellipse, and the `level` quantile (n,) of the length of a normal vector with it.
-
-    The quantile is in units of the larger standard deviation.  With the ratio 0 it is that of a deviation along a line,
-    with 1 the one of Rayleigh's distribution.
-    """
-    ratios = np.linspace(0.0, 1.0, RATIOS)
-    angles = (np.arange(ANGLES) + 0.5) * math.tau / ANGLES
-    variance = np.cos(angles) ** 2 + (ratios[:, None] * np.sin(angles)) ** 2  # of the length, in units of Rayleigh's
-    low, high = np.zeros(RATIOS), np.full(RATIOS, LARGEST)
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        is_below = np.exp(-0.5 * middle[:, None] ** 2 / variance).mean(axis=1) > 1.0 - level
-        low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
-    return ratios, high
 
 
 class BoundCalibration:
@@ -166,3 +139,28 @@ class BoundCalibration:
         return DeviationBound(
             quantile * larger, along * uncertainty.delay, along * growth, self._settings.horizon, vehicle.top_speed
         )
+
+
+def _chord(constant: float, slope: float, end: float) -> float:
+    """Slope of the chord from 0 to `end` of the root of `constant`^2 + (`slope` x)^2; without an end it is `slope`."""
+    if end == 0.0 or constant == 0.0 or math.isinf(end):
+        return slope
+    return (math.hypot(constant, slope * end) - constant) / end
+
+
+@cache
+def radius_quantiles(level: float) -> tuple[Floats, Floats]:
+    """Ratios (n,) of the axes of an ellipse, and the `level` quantile (n,) of the length of a normal vector with it.
+
+    The quantile is in units of the larger standard deviation.  With the ratio 0 it is that of a deviation along a line,
+    with 1 the one of Rayleigh's distribution.
+    """
+    ratios = np.linspace(0.0, 1.0, RATIOS)
+    angles = (np.arange(ANGLES) + 0.5) * math.tau / ANGLES
+    variance = np.cos(angles) ** 2 + (ratios[:, None] * np.sin(angles)) ** 2  # of the length, in units of Rayleigh's
+    low, high = np.zeros(RATIOS), np.full(RATIOS, LARGEST)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        is_below = np.exp(-0.5 * middle[:, None] ** 2 / variance).mean(axis=1) > 1.0 - level
+        low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
+    return ratios, high

@@ -65,16 +65,6 @@ class TrackedContingency:
         return self.is_verified, -self.impact_speed, self.slack, -float(self.predicted.times[-1])
 
 
-@dataclass(frozen=True)
-class _Candidate:
-    """Contingency before it is tracked: least slack in the model (in 1 / RESOLUTION m), end (s), origin, reference."""
-
-    slack: int
-    end: float
-    origin: ContingencyOrigin
-    reference: Callable[[], Reference]
-
-
 class ContingencyRanking:
     """Ranks contingencies by the least slack of their tracked motion."""
 
@@ -191,6 +181,16 @@ class ContingencyRanking:
             speeds.append(max(float(braking[min(len(speeds), len(braking) - 1)]), slow))
             arc_lengths.append(arc_lengths[-1] + 0.5 * step * (speeds[-2] + speeds[-1]))
         return speeds, arc_lengths
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """Contingency before it is tracked: least slack in the model (in 1 / RESOLUTION m), end (s), origin, reference."""
+
+    slack: int
+    end: float
+    origin: ContingencyOrigin
+    reference: Callable[[], Reference]
 
 
 def _part(plan: Reference, begin: float, end: float) -> tuple[Floats, Matrix, Matrix]:

@@ -1,7 +1,7 @@
 """Levels of clearance: where the bound of the deviation is measured, plans keep a share of it, and a margin.
 
-In a narrow place the bound may leave no way.  Then plans keep a smaller share of it, and where that leaves none either,
-they keep it only for the next seconds.
+In a narrow place the bound may leave no way.  Then plans keep a smaller share of it, then no margin, and where that
+leaves no way either, they keep it for the next cycles only.
 """
 
 from __future__ import annotations
@@ -10,15 +10,13 @@ import math
 from dataclasses import dataclass, replace
 from typing import Final
 
-from kraft.driving.bound import DeviationBound
+from kraft.driving.bound import LATER_DELAY, DeviationBound
 from kraft.driving.method import CalibratedBound, PlannerSettings
 from kraft.driving.solvers import Solvers
 from ompl_ext.solver import DirtSolver
 
 NEAR: Final = 1.5
 """Time after a commit for which plans keep the bound as it is now, s."""
-KNOWN_DELAY: Final = 0.1
-"""Part of the bound for the speed that remains when the delay counts as known, at most, s."""
 HYSTERESIS: Final = 0.8
 """Share of the clearance of a wide level that suffices for the rest of a plan made for this level."""
 PAUSE: Final = 3
@@ -56,7 +54,7 @@ class Level:
         Where it is so narrow that hardly a speed is left, the share is also that of what remains for the speed when
         the delay is known: then only a delay that is not known yet makes the vehicle slow.
         """
-        spared = (1.0 - self.share) * min(bound.per_speed, KNOWN_DELAY) if self.narrow else 0.0
+        spared = (1.0 - self.share) * min(bound.per_speed, LATER_DELAY) if self.narrow else 0.0
         return replace(bound.scaled(self.share * part), per_speed=part * (bound.per_speed - spared))
 
 
@@ -66,17 +64,17 @@ def levels_of(settings: PlannerSettings) -> tuple[Level, ...]:
         return (Level(1.0),)
     shares, margin, cycle = settings.bound.shares, settings.margin, settings.cycle
     foresight = max(settings.bound.foresight, cycle)
-    far = [Level(share, margin, foresight) for share in shares]
+    farsighted = [Level(share, margin, foresight) for share in shares]
     if margin > 0.0:
-        far += [Level(share * shares[-1], 0.0, foresight, narrow=True) for share in NARROW]
+        farsighted += [Level(share * shares[-1], 0.0, foresight, narrow=True) for share in NARROW]
     if foresight == cycle:
-        return tuple(far)
+        return tuple(farsighted)
     soon = min(foresight, SOON * cycle)
-    near = [
+    shortsighted = [
         *(Level(share, 0.0, soon, narrow=True) for share in shares[::2]),
         Level(shares[-1], 0.0, cycle, narrow=True),
     ]
-    return (*far, *near)
+    return (*farsighted, *shortsighted)
 
 
 class Levels:
@@ -85,9 +83,11 @@ class Levels:
     def __init__(self, solvers: Solvers, settings: PlannerSettings) -> None:
         self._solvers, self._settings, self._cycle = solvers, settings.bound or CalibratedBound(), settings.cycle
         self.all = levels_of(settings)
+        self.bound = DeviationBound(0.0)
+        """bound of the present cycle"""
         self.wide = sum(not level.narrow for level in self.all)
         """number of the levels at which a plan keeps the margin"""
-        self.far = sum(level.foresight == self.all[0].foresight for level in self.all)
+        self.farsighted = sum(level.foresight == self.all[0].foresight for level in self.all)
         """number of the levels at which a plan keeps the clearance as long as at the first one"""
         self.kept = 0
         """index of the level of the last plan"""
@@ -96,7 +96,6 @@ class Levels:
         self._steady = 0  # number of cycles with this level since a higher one was tried
         self._least, self._waited = math.inf, 0  # cost of the cheapest plan (s), and the number of cycles since then
         self._pause = 0  # number of cycles until plans are compared again
-        self.bound = DeviationBound(0.0)
 
     @property
     def share(self) -> float:
@@ -156,11 +155,11 @@ class Levels:
 
     def downwards(self, first: int) -> list[int]:
         """Levels from number `first` on; as long as they keep their foresight, every second one of them."""
-        return [*range(first, self.far, 2), *range(max(first, self.far), len(self.all))]
+        return [*range(first, self.farsighted, 2), *range(max(first, self.farsighted), len(self.all))]
 
     def upwards(self) -> list[int]:
         """Levels to try above that of the last plan: the next one, and the lowest one with the whole foresight."""
-        return sorted({self.kept - 1, min(self.kept, self.far) - 1})
+        return sorted({self.kept - 1, min(self.kept, self.farsighted) - 1})
 
     def require(self) -> None:
         """Require what suffices when the last plan is checked again."""
@@ -171,7 +170,7 @@ class Levels:
 
         Neither the margin nor the foresight is given up for a gain.
         """
-        self.stalled = stalled and number + 1 not in (self.wide, self.far, len(self.all))
+        self.stalled = stalled and number + 1 not in (self.wide, self.farsighted, len(self.all))
         self._steady = self._steady % STEADY + 1 if number == self.kept and not self.stalled else 0
         self.kept = number
 

@@ -1,6 +1,6 @@
 """What the car has on board, and the watchdog that stops it without poses or messages.
 
-The car tracks its newest message, which is a plan until the end of its cycle and a contingency after it.
+The car tracks its newest message: a plan and, with `on_board: contingency`, a contingency after the end of its cycle.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from kraft.driving.rest import (  # fmt: skip
     start_with_best_corrections,
     total_cost,
 )
-from kraft.driving.search_budget import SearchBudget
+from kraft.driving.search_budget import LEVEL_TIME, SearchBudget
 from kraft.driving.solvers import Solvers, goal_region
 from kraft.errors import Defect
 from kraft.text import counted
@@ -51,7 +51,6 @@ RISE = 0.4  # that a plan may cost to keep more clearance than the last one, les
 PROBES = 2  # attempts at retaining a rest at a level before it is searched at
 PROBES_HIGHER = 4  # the same when it is searched at a level above that of the last plan, whose rest is the fallback
 LOSS_CANDIDATES = 20  # plans of a tree that are examined for room for a loss of commands, if the best one has none
-LEVEL_TIME = 0.15  # share of the remaining time in which a search finds a way at a level, by the clock
 
 
 @dataclass(frozen=True)
@@ -243,7 +242,7 @@ class Proposer:
             return True
         if query.rest is None or number > levels.kept or (number == levels.kept and not levels.stalled):
             return False
-        gains_foresight = number < levels.far <= levels.kept
+        gains_foresight = number < levels.farsighted <= levels.kept
         return cost > query.left + (STALLED if gains_foresight else RETAINED_TOLERANCE)
 
     def _first_levels(self, query: _Query) -> list[int]:

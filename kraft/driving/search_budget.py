@@ -1,6 +1,6 @@
 """Budget of a cycle's searches: how many iterations, or how much time, each of them spends.
 
-A number of iterations gives the same plan on every run; the clock limits the search of a robot.
+A number of iterations gives the same plan on every run; by the clock the plan depends on the machine.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ CONVERGED: Final = 0.1
 """Fall of the best cost during a quarter of the iterations below which a search has converged, s."""
 PATIENCE: Final = 0.4
 """Share of the iterations after which a search at a level without a way to the goal ends."""
+LEVEL_TIME: Final = 0.15
+"""Share of the remaining time in which a search finds a way at a level, by the clock."""
 RESERVED_TIME: Final = 0.2
 """Share of the time of a cycle that is left for other levels, by the clock."""
 
@@ -33,7 +35,10 @@ class SearchBudget:
         """`realtime` limits the searches by wall-clock time instead of iterations."""
         self._settings, self._realtime, self._at_levels = settings, realtime, settings.bound is not None
         self._ends = math.inf
-        self.left = self.spent = 0
+        self.left = 0
+        """iterations that the searches of the cycle may still spend; in turn, those beyond the ones that each has"""
+        self.spent = 0
+        """iterations that they have spent, of those that `left` counts or by the clock"""
 
     def begin(self, began: float) -> None:
         """Begin a cycle whose planning began at `began` s of the clock."""
@@ -45,15 +50,16 @@ class SearchBudget:
         """Allow at least as many `iterations` more."""
         self.left = max(self.left, iterations)
 
-    def grow(self, dirt: DirtSolver, remaining: float, share: float, is_last: bool) -> Progress:
-        """Spend iterations, or a share of the remaining time and all of it once there is a plan.
+    def grow(self, dirt: DirtSolver, cost_left: float, share: float, is_last: bool) -> Progress:
+        """Spend iterations, or by the clock a `share` of the time, and with a plan all of it but what others need.
 
-        `remaining` is the cost that was left of the last plan (s): a plan that costs more is not settled.  `is_last`
+        `cost_left` is the cost that was left of the last plan (s): a plan that costs more is not settled.  `is_last`
         is whether no level comes after this one.
         """
         if not self._realtime:
-            grow = self._grow_at_level if self._at_levels else self._grow_iterations
-            return grow(dirt, remaining, is_last)
+            if self._at_levels:
+                return self._grow_at_level(dirt, cost_left, is_last)
+            return self._grow_iterations(dirt, cost_left)
         progress = dirt.grow(seconds=share * (self._ends - clock.perf_counter()))
         if dirt.plan() is not None:
             reserved = RESERVED_TIME * self._settings.clock_budget if self._at_levels and not is_last else 0.0
@@ -61,7 +67,7 @@ class SearchBudget:
         self.spent += progress.iterations
         return progress
 
-    def _grow_at_level(self, dirt: DirtSolver, remaining: float, is_last: bool) -> Progress:
+    def _grow_at_level(self, dirt: DirtSolver, cost_left: float, is_last: bool) -> Progress:
         """Spend iterations of the cycle's budget until the plan is settled, or few if they find no way to the goal.
 
         As many as these few are left of the budget for the levels after it, unless there are none.
@@ -76,12 +82,12 @@ class SearchBudget:
             spent += count
             if not (is_last or dirt.best_node()[1]):
                 break
-            if spent >= iterations and _is_settled(dirt, remaining, cost):
+            if spent >= iterations and _is_settled(dirt, cost_left, cost):
                 break
         self._spend(spent)
         return progress
 
-    def _grow_iterations(self, dirt: DirtSolver, remaining: float, is_last: bool) -> Progress:
+    def _grow_iterations(self, dirt: DirtSolver, cost_left: float) -> Progress:
         """Spend `iterations`, and what is left of `max_iterations` while the plan is not settled."""
         iterations = self._settings.iterations
         if self.left == 0:
@@ -91,7 +97,7 @@ class SearchBudget:
             dirt.grow(iterations=iterations - chunk, timed=False)
         cost = dirt.best_cost
         progress = dirt.grow(iterations=chunk, timed=False)
-        while self.left > 0 and not _is_settled(dirt, remaining, cost):
+        while self.left > 0 and not _is_settled(dirt, cost_left, cost):
             cost, count = dirt.best_cost, min(chunk, self.left)
             progress = dirt.grow(iterations=count, timed=False)
             self._spend(count)
@@ -102,10 +108,10 @@ class SearchBudget:
         self.spent += iterations
 
 
-def _is_settled(dirt: DirtSolver, remaining: float, before: float) -> bool:
+def _is_settled(dirt: DirtSolver, cost_left: float, before: float) -> bool:
     """Whether the best plan reaches the goal, costs what was left of the last plan, and no longer improves.
 
-    `remaining` is what was left (s), and `before` the best cost before the last iterations (s).
+    `before` is the best cost before the last iterations, s.
     """
     cost = dirt.best_cost
-    return dirt.best_node()[1] and cost <= remaining + RETAINED_TOLERANCE and before - cost < CONVERGED
+    return dirt.best_node()[1] and cost <= cost_left + RETAINED_TOLERANCE and before - cost < CONVERGED

@@ -1,6 +1,6 @@
 """Trials of an evaluation as an OMPL benchmark: logs, and their database for Planner Arena.
 
-There is a log for each scenario, in which a method is a planner and a trial is a run.
+There is a log for each entry, in which a method is a planner and a trial is a run.
 """
 
 from __future__ import annotations

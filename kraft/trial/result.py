@@ -255,15 +255,15 @@ class CauseKind(StrEnum):
         return kind
 
     MESSAGE_LOST = "message lost", "the car did not get the message of the cycle, or its watchdog had stopped it"
-    DEADLINE_MISSED = "deadline missed", "planning took longer than the cycle, in a trial by the clock"
+    DEADLINE_MISSED = "deadline missed", "planning took longer than the cycle minus its lead, in a trial by the clock"
     CONTINGENCY_TOO_LATE = (
         "contingency too late",
-        "nothing verified the committed contingency, or it was predicted to come too close",
+        "nothing verified the contingency when it was committed, or it was predicted to come too close",
     )
     UNSAFE_PLAN = "unsafe plan", "the car was where it was predicted to be, and the plan itself came too close"
     ESTIMATE_WRONG = (
         "estimate wrong",
-        "the car deviated from its prediction, at least half of it because of a wrong estimate",
+        "the car deviated by more, and its estimated pose was wrong by at least half as much",
     )
     DEVIATION = (
         "deviation",

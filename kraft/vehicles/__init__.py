@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from ompl_ext.vehicle import Vehicle
 
-
+DELAY_MAX: Final = 0.5
+"""Longest delay of commands that a vehicle may state and that is estimated, s."""
 CAR_CONTROLS: Final = ("throttle", "steering")
 
 
@@ -41,9 +42,6 @@ def control_title(vehicle: Vehicle, name: str) -> str:
     words, unit = name.replace("_", " "), control_unit(vehicle, name)
     return f"{words}, {unit}" if unit else words
 
-
-DELAY_MAX: Final = 0.5
-"""Longest delay of commands that a vehicle may state and that is estimated, s."""
 
 FORCE: Final = ("a_x", "a_y")
 """Parameters that are the acceleration by a force along x and y, m/s^2, as on a slope."""

@@ -15,6 +15,7 @@ from kraft.errors import Code, Diagnostic
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 
 Text = Annotated[str, StringConstraints(min_length=1)]
+KINDS: Final = ("car", "mjcf", "model")
 
 
 class Wheels(StrictModel):
@@ -78,9 +79,6 @@ class CarDimensions(StrictModel):
     """{angle_max_deg, rate_deg, linkage}"""
     tyres: Tyres = Tyres()
     """{friction}"""
-
-
-KINDS: Final = ("car", "mjcf", "model")
 
 
 class Robot(StrictModel):

@@ -15,7 +15,6 @@ from kraft.driving.bound import LATER_DELAY, LATER_DELTA, LATER_GROWTH, BoundCal
 from kraft.driving.levels import (
     HYSTERESIS,
     INSISTENCE,
-    KNOWN_DELAY,
     NARROW,
     NEAR,
     PAUSE,
@@ -89,7 +88,7 @@ def test_what_the_settings_do_not_ask_for_is_no_level() -> None:
 
 def test_every_second_level_is_tried_as_long_as_plans_keep_their_foresight() -> None:
     subject = levels()
-    assert (subject.wide, subject.far, len(subject.all)) == (3, 5, 8)
+    assert (subject.wide, subject.farsighted, len(subject.all)) == (3, 5, 8)
     assert subject.downwards(0) == [0, 2, 4, 5, 6, 7]
     assert subject.downwards(6) == [6, 7]
 
@@ -137,10 +136,10 @@ def test_a_level_asks_for_its_share_its_margin_and_its_foresight() -> None:
 def test_only_narrow_levels_give_up_what_the_bound_asks_for_the_speed_and_never_that_of_an_unknown_delay(
     unknown: float,
 ) -> None:
-    subject, per_speed = levels(), KNOWN_DELAY + unknown
+    subject, per_speed = levels(), LATER_DELAY + unknown
     subject.bound = DeviationBound(0.1, per_speed, 0.05, 1.5)
     for number, level in enumerate(subject.all):
-        expected = per_speed if number < subject.wide else unknown + level.share * KNOWN_DELAY
+        expected = per_speed if number < subject.wide else unknown + level.share * LATER_DELAY
         assert subject.set(number, eased=False).safety.delta_per_speed == pytest.approx(expected)
         part = HYSTERESIS if number < subject.wide else BOUND.recheck
         assert subject.set(number, eased=True).safety.delta_per_speed == pytest.approx(expected * part)
@@ -197,7 +196,7 @@ def test_a_cycle_whose_budget_ends_without_a_plan_leaves_the_next_levels_to_the_
     first, second = (subject._proposer.propose(number, start(), None) for number in range(2))
     assert first.plan is None
     assert second.plan is not None
-    assert subject._proposer._levels.kept > subject._proposer._levels.far
+    assert subject._proposer._levels.kept > subject._proposer._levels.farsighted
 
 
 def test_a_plan_keeps_share_and_margin_to_its_end() -> None:

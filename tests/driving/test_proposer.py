@@ -219,7 +219,7 @@ def test_a_path_of_a_geodesic_method_that_comes_too_late_is_dropped_in_real_time
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     subject = replanner(realtime=True, cycle=0.2, lead=0.0, type="geodesic")
-    assert subject._proposer.propose(1, start(), None).plan is not None
+    assert subject._proposer.propose(0, start(), None).plan is not None
     late = itertools.chain([0.0], itertools.repeat(5.0))
     monkeypatch.setattr("kraft.driving.proposer.clock.perf_counter", lambda: next(late))
     proposal = subject._proposer.propose(2, start(), None)

@@ -22,7 +22,7 @@ from support.adaptive import (
 )  # fmt: skip
 from support.driving import RATE
 
-from kraft.driving.estimation.drive_history import Drive, DriveHistory
+from kraft.driving.estimation.drive_history import DriveHistory, RecordedDrive
 from kraft.driving.estimation.pose_noise import NoiseEstimate
 from kraft.driving.estimation.sliding_window import Identified
 from kraft.driving.vehicle_model import CarModel
@@ -59,10 +59,10 @@ def test_the_window_finds_delay_wheelbase_and_steering_offset(seed: int, delay: 
     assert deviation["delay"] < 0.2 * window().parameters.std[-1]
 
 
-def until(drive: Drive, time: float) -> Drive:
+def until(drive: RecordedDrive, time: float) -> RecordedDrive:
     """The drive until `time` (s)."""
     poses, commands = drive.times <= time, drive.command_times <= time
-    return Drive(
+    return RecordedDrive(
         drive.times[poses], drive.poses[poses], drive.states[poses], drive.command_times[commands],
         drive.commands[commands],
     )  # fmt: skip

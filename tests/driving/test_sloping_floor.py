@@ -12,7 +12,7 @@ from support.driving import RATE
 
 from kraft.driving.estimation import CameraModel
 from kraft.driving.estimation.adaptive import HOLDS, AdaptiveEstimator, Learned, online_parameters
-from kraft.driving.estimation.drive_history import Drive
+from kraft.driving.estimation.drive_history import RecordedDrive
 from kraft.driving.estimation.sliding_window import Identified
 from kraft.driving.estimation.sloping_floor import SLOPE, ConstantOfDrive, slope_deviations, slope_told
 from kraft.driving.method import Adaptive
@@ -256,7 +256,7 @@ def test_a_force_across_the_drive_is_uncertain_unless_the_vehicle_turns(
     """A box that is pushed after a slight turn looks like a force across the drive that was always there."""
     times = np.linspace(0.0, 10.0, 301)
     yaw = 0.5 * math.pi + turn * np.sin(times)
-    drive = Drive(times, np.column_stack([times, times, yaw]), np.zeros((301, 4)), times, np.zeros((301, 2)))
+    drive = RecordedDrive(times, np.column_stack([times, times, yaw]), np.zeros((301, 4)), times, np.zeros((301, 2)))
     empty = np.zeros(0)
     identified = Identified(empty, np.zeros((0, 0)), times, np.zeros((301, 3)), empty, np.zeros((0, 0)))
     deviations = np.sqrt(np.diag(Learned.of(identified, drive).passing_force))

@@ -22,7 +22,6 @@ from kraft.driving.estimation.sliding_window import NOTICED, SIGNIFICANT
 from kraft.driving.levels import (
     HYSTERESIS,
     INSISTENCE,
-    KNOWN_DELAY,
     NARROW,
     NEAR,
     PAUSE,
@@ -181,7 +180,7 @@ def test_quoted_constants_are_those_in_the_code() -> None:
         f"exceeds {NOTICED:g}. The next cycles test the motion since then as well",
         f"If for {PROGRESS_TIME:g} s no plan was cheaper by {PROGRESS * PROGRESS_TIME:g} s than the cheapest one before",
         f"no higher level is tried, for {INSISTENCE:g} s at most", f"and {ATTEMPT_TOLERANCE:g} s more after each attempt", f"less than {100 * ROOM:g} cm of clearance", f"with {100 * ROOM:g} cm within {100 * NEARBY:g} cm",
-        f"up to {KNOWN_DELAY:g} s (`KNOWN_DELAY`)", f"From {NEAR:g} s on (`NEAR`)", f"{LATER_DELTA:g} m or what the pose's error asks for",
+        f"up to {LATER_DELAY:g} s (`LATER_DELAY`)", f"From {NEAR:g} s on (`NEAR`)", f"{LATER_DELTA:g} m or what the pose's error asks for",
         f"a growth of at most {LATER_GROWTH:g} m/s, and at most {LATER_DELAY:g} s for the speed",
         f"exceed it by at most {100 * COVER_EXCESS:g} % of its width",
         f"from 0 to {DELAY_MAX:g} s", f"| none | {SOON:g} cycles |",

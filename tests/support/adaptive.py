@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from kraft.driving.estimation.adaptive import online_parameters
-from kraft.driving.estimation.drive_history import Drive
+from kraft.driving.estimation.drive_history import RecordedDrive
 from kraft.driving.estimation.sliding_window import SlidingWindow
 from kraft.driving.messages import Observation
 from kraft.driving.method import Adaptive
@@ -76,14 +76,14 @@ def recorded(
     seed: int = 0,
     rest: float = 0.0,
     change: tuple[float, Mapping[str, float]] | None = None,
-) -> Drive:
+) -> RecordedDrive:
     """Recorded drive of `seconds` s, then `rest` s without throttle; the vehicle stood before it, as all know."""
     states, commands = driven(
         lambda time: command(time) if time < seconds else standing(time), seconds + rest, parameters, delay, change
     )
     times, before = np.arange(len(states)) / RATE, np.arange(-0.5, -0.05, 0.1)
     noise = np.random.default_rng(seed).normal(size=(len(states), 3)) * [POSITION, POSITION, HEADING]
-    return Drive(
+    return RecordedDrive(
         np.concatenate([before, times]),
         np.vstack([np.tile(BEGIN[:3], (len(before), 1)), states[:, :3] + noise]),
         np.vstack([np.tile(BEGIN, (len(before), 1)), states]),

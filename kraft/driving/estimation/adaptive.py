@@ -18,7 +18,7 @@ import numpy as np
 from kraft.driving.estimation.camera_model import CameraModel
 from kraft.driving.estimation.correlated_filter import CorrelatedFilter
 from kraft.driving.estimation.dead_reckoning import with_identified_drift
-from kraft.driving.estimation.drive_history import DRIVE_MAX, Drive, DriveHistory
+from kraft.driving.estimation.drive_history import DRIVE_MAX, DriveHistory, RecordedDrive
 from kraft.driving.estimation.pose_noise import NoiseEstimate
 from kraft.driving.estimation.sliding_window import Identified, SlidingWindow
 from kraft.driving.estimation.sloping_floor import (
@@ -71,7 +71,7 @@ class Learned:
     directions: Matrix
 
     @classmethod
-    def of(cls, identified: Identified, drive: Drive) -> Learned:
+    def of(cls, identified: Identified, drive: RecordedDrive) -> Learned:
         """What was identified from a drive."""
         yaw = np.interp(identified.times, drive.times, drive.poses[:, 2])
         along = np.array([np.cos(yaw), np.sin(yaw)])

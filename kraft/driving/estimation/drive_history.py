@@ -13,7 +13,7 @@ from kraft.driving.vehicle_model import VehicleModel
 from kraft.vehicles import DELAY_MAX
 from ompl_ext.arrays import Floats, Matrix
 
-MARGIN: Final = 0.5
+AROUND_MOTION: Final = 0.5
 """Time before and after a motion that belongs to it, s: standstill determines the speed there."""
 SEEN: Final = 1.0
 """Time in which poses show whether the vehicle moves, s."""
@@ -30,7 +30,7 @@ RECORD_ROWS: Final = 256
 
 
 @dataclass(frozen=True)
-class Drive:
+class RecordedDrive:
     """Recorded drive: poses with the states that the filter had at their times, and commands.
 
     Attributes:
@@ -51,37 +51,6 @@ class Drive:
     def interval(self) -> float:
         """Mean time between poses, s."""
         return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
-
-
-class _Record:
-    """Rows of an array with ascending times; what has been given out stays as it is."""
-
-    def __init__(self, columns: int) -> None:
-        self._rows, self._begin, self._end = np.empty((RECORD_ROWS, 1 + columns)), 0, 0
-
-    def append(self, time: float, *values: Floats) -> None:
-        """Add a row at `time` s."""
-        if self._end == len(self._rows):
-            kept = self._rows[self._begin :]
-            self._rows = np.empty((RECORD_ROWS + 2 * len(kept), kept.shape[1]))
-            self._rows[: len(kept)] = kept
-            self._begin, self._end = 0, len(kept)
-        self._rows[self._end, 0], self._rows[self._end, 1:] = time, np.concatenate(values)
-        self._end += 1
-
-    def forget(self, before: float) -> None:
-        """Drop the rows before `before` s, apart from the newest one."""
-        self._begin += int(np.searchsorted(self.times[:-1], before))
-
-    @property
-    def times(self) -> Floats:
-        """Times (n,) of the rows, s."""
-        return self._rows[self._begin : self._end, 0]
-
-    @property
-    def values(self) -> Matrix:
-        """Rows (n, columns)."""
-        return self._rows[self._begin : self._end, 1:]
 
 
 class DriveHistory:
@@ -127,18 +96,18 @@ class DriveHistory:
 
     def leave_out(self, begin: float, end: float) -> None:
         """Take the time from `begin` to `end` (s), and what belongs to a motion before and after, as standstill."""
-        first, last = begin - MARGIN, end + MARGIN
+        first, last = begin - AROUND_MOTION, end + AROUND_MOTION
         parts = [part for a, b in self.moving for part in ((a, min(b, first)), (max(a, last), b))]
         self.moving = [(a, b) for a, b in parts if a < b]
 
-    def drive(self, begin: float) -> Drive | None:
+    def drive(self, begin: float) -> RecordedDrive | None:
         """The recorded drive from `begin` (s) on; None before two poses."""
         self._forget(begin)
         times, poses, commanded = self._poses.times, self._poses.values, self._commands.times
         if len(times) < 2:
             return None
         first = min([times[0], *commanded[1:2]]) - 1.0
-        return Drive(times, poses[:, :3], poses[:, 3:], np.maximum(commanded, first), self._commands.values)
+        return RecordedDrive(times, poses[:, :3], poses[:, 3:], np.maximum(commanded, first), self._commands.values)
 
     def _forget(self, before: float) -> None:
         """Drop what is not needed for a drive from `before` (s) on."""
@@ -146,3 +115,34 @@ class DriveHistory:
         acting = int(np.searchsorted(self._commands.times, before - DELAY_MAX, side="right")) - 1
         self._commands.forget(float(self._commands.times[max(acting, 0)]))
         self.moving = [span for span in self.moving if span[1] >= before]
+
+
+class _Record:
+    """Rows of an array with ascending times; what has been given out stays as it is."""
+
+    def __init__(self, columns: int) -> None:
+        self._rows, self._begin, self._end = np.empty((RECORD_ROWS, 1 + columns)), 0, 0
+
+    def append(self, time: float, *values: Floats) -> None:
+        """Add a row at `time` s."""
+        if self._end == len(self._rows):
+            kept = self._rows[self._begin :]
+            self._rows = np.empty((RECORD_ROWS + 2 * len(kept), kept.shape[1]))
+            self._rows[: len(kept)] = kept
+            self._begin, self._end = 0, len(kept)
+        self._rows[self._end, 0], self._rows[self._end, 1:] = time, np.concatenate(values)
+        self._end += 1
+
+    def forget(self, before: float) -> None:
+        """Drop the rows before `before` s, apart from the newest one."""
+        self._begin += int(np.searchsorted(self.times[:-1], before))
+
+    @property
+    def times(self) -> Floats:
+        """Times (n,) of the rows, s."""
+        return self._rows[self._begin : self._end, 0]
+
+    @property
+    def values(self) -> Matrix:
+        """Rows (n, columns)."""
+        return self._rows[self._begin : self._end, 1:]

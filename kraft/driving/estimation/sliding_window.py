@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from kraft.driving.estimation.camera_model import CameraModel
-from kraft.driving.estimation.drive_history import MARGIN, Drive
+from kraft.driving.estimation.drive_history import AROUND_MOTION, RecordedDrive
 from kraft.driving.estimation.sloping_floor import SLOPE, SlopingObservationModel
 from kraft.logs.log import Part
 from kraft.sysid.chains import Segment, segment_between
@@ -129,7 +129,7 @@ class SlidingWindow:
         self._changed_at = None
 
     def update(
-        self, drive: Drive, moving: Sequence[tuple[float, float]], noise: Callable[[float], Noise]
+        self, drive: RecordedDrive, moving: Sequence[tuple[float, float]], noise: Callable[[float], Noise]
     ) -> Identified | None:
         """Identify from a drive; `moving` are the times (begin, end) in which the vehicle moved, ascending (s).
 
@@ -193,7 +193,7 @@ class SlidingWindow:
         since, total = (sum(max(0.0, last - max(first, t)) for first, last in moving) for t in (begin, -math.inf))
         if not RECENT - ROUNDING <= since <= min(self._length, total) - EARLIER:
             return None
-        brief, long = (graph.since(begin - MARGIN, self._noise_model(noise(each))) for each in (since, math.inf))
+        brief, long = (graph.since(begin - AROUND_MOTION, self._noise_model(noise(each))) for each in (since, math.inf))
         if brief.poses < POSES_MIN:
             return None
         free, square = self.parameters.free, np.ix_(*2 * (self.parameters.free,))
@@ -245,10 +245,10 @@ class SlidingWindow:
     def _noise_model(self, noise: Noise) -> NoiseModel:
         return NoiseModel(noise, self._process, self._control, threshold(ROBUST, 3))
 
-    def _segments(self, drive: Drive, moving: Sequence[tuple[float, float]], length: float) -> list[Segment]:
+    def _segments(self, drive: RecordedDrive, moving: Sequence[tuple[float, float]], length: float) -> list[Segment]:
         """Segments of the last `length` s of motion, in the order of time."""
         since = _begin_of_last(moving, length)
-        spans = [(max(begin, since) - MARGIN, end + MARGIN) for begin, end in moving if end >= since]
+        spans = [(max(begin, since) - AROUND_MOTION, end + AROUND_MOTION) for begin, end in moving if end >= since]
         part = Part(drive.command_times, drive.commands, drive.times, drive.poses)
         segments = []
         for begin, end in _joined(spans):
@@ -257,7 +257,7 @@ class SlidingWindow:
                 segments.append(segment_between(part, 0, self._step, first, last, resting=True))
         return segments
 
-    def _start(self, problem: Problem, drive: Drive) -> Point:
+    def _start(self, problem: Problem, drive: RecordedDrive) -> Point:
         """The filter's states, and controls as commanded."""
         times = np.concatenate([s.times for s in problem.chains.segments])
         states = interpolated_rows(times, drive.times, drive.states)
