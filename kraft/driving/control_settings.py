@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal, get_args
 
 from pydantic import Field
 
@@ -173,3 +173,8 @@ class Nmpc(Predictive):
 ControllerSettings = Annotated[
     OpenLoop | Geometric | Kinodynamic | Lqr | Mppi | Dwa | Nmpc, Field(discriminator="kind")
 ]
+
+PREDICTIVE: Final = frozenset(
+    kind for model in (Mppi, Dwa, Nmpc) for kind in get_args(model.model_fields["kind"].annotation)
+)
+"""Kinds of controllers that predict the vehicle, see `Predictive`."""

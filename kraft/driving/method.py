@@ -6,16 +6,17 @@ Each file of `configs/methods/` is one row of a results table; a new method need
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeGuard
 
 from pydantic import Field, PrivateAttr, model_validator
+from pydantic_core import PydanticCustomError
 
 from kraft.config import bundled
 from kraft.config.schema import Name, NonNegative, Positive, Probability, StrictModel, read_model, refuse
 from kraft.config.yaml_reader import Source
-from kraft.driving.control_settings import ControllerSettings, Predictive, Seconds
+from kraft.driving.control_settings import PREDICTIVE, ControllerSettings, Seconds
 from kraft.errors import Code, InputError
 
 if TYPE_CHECKING:
@@ -61,15 +62,31 @@ class CalibratedBound(StrictModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        low, high = self.limits
-        if low >= high:
-            problem = f"the interval [{low:g}, {high:g}] is empty or inverted"
-            raise refuse(problem, "expected [least, largest] with least < largest", ("limits",), Code.CONFLICT)
-        for k, (larger, smaller) in enumerate(itertools.pairwise(self.shares), 1):
+        for error in self.across_keys(dict(self)):
+            raise error
+        return self
+
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Check the order of the limits and of the shares."""
+        limits, shares = (_numbers(content.get(name)) for name in ("limits", "shares"))
+        if len(limits) == 2 and limits[0] >= limits[1]:
+            problem = f"the interval [{limits[0]:g}, {limits[1]:g}] is empty or inverted"
+            yield refuse(problem, "expected [least, largest] with least < largest", ("limits",), Code.CONFLICT)
+        for k, (larger, smaller) in enumerate(itertools.pairwise(shares), 1):
             if smaller >= larger:
                 problem = f"is {smaller:g}, not less than the share before it"
-                raise refuse(problem, f"expected less than {larger:g}", ("shares", k), Code.CONFLICT)
-        return self
+                yield refuse(problem, f"expected less than {larger:g}", ("shares", k), Code.CONFLICT)
+
+
+def _numbers(value: object) -> tuple[float, ...]:
+    """Numbers of a list; none if not all of its items are numbers."""
+    items = tuple(value) if isinstance(value, list | tuple) else ()
+    return items if all(_is_number(item) for item in items) else ()
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 OF_CONTINGENCIES: Final = frozenset({"safety", "bound", "recover", "on_board", "contingencies", "watchdog"})
@@ -163,44 +180,63 @@ class PlannerSettings(StrictModel):
     @model_validator(mode="before")
     @classmethod
     def _without_contingency(cls, content: Any) -> Any:
-        """Leave out what a method without contingencies ignores."""
-        if isinstance(content, Mapping) and content.get("contingency") is False:
-            return {key: value for key, value in content.items() if key not in OF_CONTINGENCIES}
-        return content
+        return _with_effect(content) if isinstance(content, Mapping) else content
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.type == "geodesic" and self.mode == "one-shot":
-            raise refuse(
+        for error in self.across_keys(dict(self)):
+            raise error
+        return self
+
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Check settings that exclude or need each other, and the order of numbers."""
+        given = {name: field.default for name, field in cls.model_fields.items()} | _with_effect(content)
+        replans = given["mode"] != "one-shot"
+        if given["type"] == "geodesic" and not replans:
+            yield refuse(
                 "is a path for controllers that replan", "expected `mode: replanning`", ("type",), Code.CONFLICT
             )
-        if self.safety is not None and self.bound is not None:
-            raise refuse("replaces `safety`, which is there too", "expected one of them", ("bound",), Code.CONFLICT)
-        if self.bound is not None and self.mode == "one-shot":
-            raise refuse("is set in every cycle", "expected `mode: replanning`", ("bound",), Code.CONFLICT)
-        if self.blocked is not None and self.mode == "one-shot":
-            raise refuse("is noticed in later cycles", "expected `mode: replanning`", ("blocked",), Code.CONFLICT)
-        if self.lead >= self.cycle:
-            raise refuse(f"is {self.lead:g}, not less than the cycle", f"expected less than {self.cycle:g}", ("lead",))
-        if self.largest_budget < self.iterations:
-            raise refuse(
-                f"is {self.max_iterations}, less than iterations",
-                f"expected at least {self.iterations}",
-                ("max_iterations",),
-            )
-        if self.first_max_iterations is not None:
-            least = self.first_iterations
-            if least is None:
-                problem, expected = "is given without first_iterations", "expected first_iterations, too"
-                raise refuse(problem, expected, ("first_max_iterations",), Code.CONFLICT)
-            if self.first_max_iterations < least:
-                problem = f"is {self.first_max_iterations}, less than first_iterations"
-                raise refuse(problem, f"expected at least {least}", ("first_max_iterations",))
-        if not self.is_safe or self.mode == "one-shot":
-            chosen = {"on_board": self.on_board == "contingency", "contingencies": self.contingencies == "tracked"}
-            for name in [name for name, is_chosen in chosen.items() if is_chosen]:
-                raise refuse("needs contingencies", "expected `mode: replanning`, and `safety` or `bound`", (name,))
-        return self
+        if given["safety"] is not None and given["bound"] is not None:
+            yield refuse("replaces `safety`, which is there too", "expected one of them", ("bound",), Code.CONFLICT)
+        for name, problem in (("bound", "is set in every cycle"), ("blocked", "is noticed in later cycles")):
+            if given[name] is not None and not replans:
+                yield refuse(problem, "expected `mode: replanning`", (name,), Code.CONFLICT)
+        if not replans or (given["safety"] is None and given["bound"] is None):
+            for name, value in (("on_board", "contingency"), ("contingencies", "tracked")):
+                if given[name] == value:
+                    expected = "expected `mode: replanning`, and `safety` or `bound`"
+                    yield refuse("needs contingencies", expected, (name,))
+        if given["first_max_iterations"] is not None and given["first_iterations"] is None:
+            problem, expected = "is given without first_iterations", "expected first_iterations, too"
+            yield refuse(problem, expected, ("first_max_iterations",), Code.CONFLICT)
+        yield from cls._misordered(given)
+        if isinstance(given["bound"], Mapping):
+            yield from _within("bound", CalibratedBound.across_keys(given["bound"]))
+
+    @classmethod
+    def _misordered(cls, given: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Check that the lead is shorter than the cycle, and largest budgets are no smaller than the usual ones."""
+        lead, cycle = given["lead"], given["cycle"]
+        if _is_number(lead) and _is_number(cycle) and lead >= cycle:
+            yield refuse(f"is {lead:g}, not less than the cycle", f"expected less than {cycle:g}", ("lead",))
+        for most, least in (("max_iterations", "iterations"), ("first_max_iterations", "first_iterations")):
+            largest, usual = given[most], given[least]
+            if _is_number(largest) and _is_number(usual) and largest < usual:
+                yield refuse(f"is {largest}, less than {least}", f"expected at least {usual}", (most,))
+
+
+def _with_effect(content: Mapping[str, object]) -> dict[str, object]:
+    """Settings of a planner without those that a method without contingencies ignores."""
+    ignored = OF_CONTINGENCIES if content.get("contingency") is False else frozenset()
+    return {key: value for key, value in content.items() if key not in ignored}
+
+
+def _within(key: str, errors: Iterable[PydanticCustomError]) -> Iterator[PydanticCustomError]:
+    """Problems of a section, at their places in the mapping that has the section at `key`."""
+    for error in errors:
+        context = error.context or {}
+        yield refuse(context["problem"], context["expected"], (key, *context["at"]), context["code"])
 
 
 class Latest(StrictModel):
@@ -314,15 +350,29 @@ class Method(StrictModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.planner.bound is not None and not isinstance(self.estimator, Adaptive):
-            problem = f"needs the uncertainty of the estimate, which the estimator {self.estimator.kind} does not state"
-            raise refuse(problem, "expected `estimator: {kind: adaptive}`", ("planner", "bound"), Code.CONFLICT)
-        heads_for_goal = isinstance(self.controller, Predictive) and self.controller.objective == "goal"
-        if (self.planner.type == "geodesic") != heads_for_goal:
+        for error in self.across_keys(
+            {name: dict(getattr(self, name)) for name in ("planner", "estimator", "controller")}
+        ):
+            raise error
+        return self
+
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Check each part, and that estimator and controller have what the planner needs."""
+        planner, estimator, controller = (
+            section if isinstance(section := content.get(name), Mapping) else {}
+            for name in ("planner", "estimator", "controller")
+        )
+        yield from _within("planner", PlannerSettings.across_keys(planner))
+        kind = estimator.get("kind", "latest")
+        if _with_effect(planner).get("bound") is not None and kind != "adaptive":
+            problem = f"needs the uncertainty of the estimate, which the estimator {kind} does not state"
+            yield refuse(problem, "expected `estimator: {kind: adaptive}`", ("planner", "bound"), Code.CONFLICT)
+        heads_for_goal = controller.get("kind") in PREDICTIVE and controller.get("objective", "goal") == "goal"
+        if (planner.get("type") == "geodesic") != heads_for_goal:
             problem = "is a path that no vehicle can track" if not heads_for_goal else "plans what nothing tracks"
             expected = "expected `geodesic` together with a controller that has `objective: goal`"
-            raise refuse(problem, expected, ("planner", "type"), Code.CONFLICT)
-        return self
+            yield refuse(problem, expected, ("planner", "type"), Code.CONFLICT)
 
     @property
     def source(self) -> Source:

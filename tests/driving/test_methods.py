@@ -169,3 +169,28 @@ BARE = Vehicle(
     controls={"throttle": (0.0, 1.0), "steering": (-1.0, 1.0)}, footprint=Footprint(0.4, 0.2),
 )
 """
+
+
+def test_all_problems_of_a_method_are_reported_together_those_between_keys_too(tmp_path: Path) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(
+        """name: bad
+title: Bad
+planner:
+  mode: replanning
+  lead: 2.0
+  max_iterations: 10
+  first_max_iterations: 5
+  bound: {level: 1.5, limits: [3, 2], shares: [0.2, 0.5]}
+  safety: {delta: 0.1}
+estimator: {kind: filter}
+controller: {kind: mppi}
+"""
+    )
+    with pytest.raises(InputError) as caught:
+        load_method(path)
+    assert [(each.line, each.path) for each in caught.value.diagnostics] == [
+        (3, "planner.type"), (5, "planner.lead"), (6, "planner.max_iterations"), (7, "planner.first_max_iterations"),
+        (8, "planner.bound"), (8, "planner.bound"), (8, "planner.bound.level"), (8, "planner.bound.limits"),
+        (8, "planner.bound.shares[1]"),
+    ]  # fmt: skip
