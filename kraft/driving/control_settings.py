@@ -174,7 +174,5 @@ ControllerSettings = Annotated[
     OpenLoop | Geometric | Kinodynamic | Lqr | Mppi | Dwa | Nmpc, Field(discriminator="kind")
 ]
 
-PREDICTIVE: Final = frozenset(
-    kind for model in (Mppi, Dwa, Nmpc) for kind in get_args(model.model_fields["kind"].annotation)
-)
+PREDICTIVE: Final = tuple(get_args(model.model_fields["kind"].annotation)[0] for model in (Mppi, Dwa, Nmpc))
 """Kinds of controllers that predict the vehicle, see `Predictive`."""

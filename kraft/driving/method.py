@@ -364,8 +364,8 @@ class Method(StrictModel):
             for name in ("planner", "estimator", "controller")
         )
         yield from _within("planner", PlannerSettings.across_keys(planner))
-        kind = estimator.get("kind", "latest")
-        if _with_effect(planner).get("bound") is not None and kind != "adaptive":
+        kind = estimator.get("kind", "latest" if "estimator" not in content else None)
+        if _with_effect(planner).get("bound") is not None and kind not in ("adaptive", None):
             problem = f"needs the uncertainty of the estimate, which the estimator {kind} does not state"
             yield refuse(problem, "expected `estimator: {kind: adaptive}`", ("planner", "bound"), Code.CONFLICT)
         heads_for_goal = controller.get("kind") in PREDICTIVE and controller.get("objective", "goal") == "goal"

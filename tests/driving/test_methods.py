@@ -194,3 +194,18 @@ controller: {kind: mppi}
         (8, "planner.bound"), (8, "planner.bound"), (8, "planner.bound.level"), (8, "planner.bound.limits"),
         (8, "planner.bound.shares[1]"),
     ]  # fmt: skip
+
+
+def test_values_of_any_type_are_refused_at_their_place(tmp_path: Path) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(
+        """name: bad
+title: Bad
+planner: {mode: [], type: {a: 1}, lead: x, cycle: [1], iterations: true, bound: 5, safety: [], blocked: {}}
+estimator: [adaptive]
+controller: {kind: [mppi], objective: {}}
+"""
+    )
+    with pytest.raises(InputError) as caught:
+        load_method(path)
+    assert {each.path for each in caught.value.diagnostics} >= {"planner.mode", "planner.lead", "planner.bound"}
