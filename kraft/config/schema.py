@@ -6,9 +6,9 @@ import types
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias, TypeVar, Union, get_args, get_origin
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
@@ -27,11 +27,17 @@ class StrictModel(BaseModel):
     synonyms: ClassVar[Mapping[str, str]] = {}
     """Keys for unknown ones that mean the same, for suggestions."""
 
+    @model_validator(mode="after")
+    def _check_across_keys(self) -> Self:
+        for error in self.across_keys(dict(self)):
+            raise error
+        return self
+
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
         """Problems between keys, see `refuse`; checked even if single keys are wrong, where pydantic checks nothing.
 
-        `content` is the mapping as it was written, with values of any type.
+        `content` is the mapping as it was written, with values of any type, or the fields of a valid model.
         """
         yield from ()
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeGuard
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeGuard
 
 from pydantic import Field, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
@@ -59,12 +59,6 @@ class CalibratedBound(StrictModel):
     """share of the clearance of a plan that suffices when it is checked again, from a newer estimate"""
     foresight: NonNegative = 0.0
     """time for which a plan keeps the clearance, if that is longer than the cycle, s"""
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        for error in self.across_keys(dict(self)):
-            raise error
-        return self
 
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
@@ -182,12 +176,6 @@ class PlannerSettings(StrictModel):
     def _without_contingency(cls, content: Any) -> Any:
         return _with_effect(content) if isinstance(content, Mapping) else content
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        for error in self.across_keys(dict(self)):
-            raise error
-        return self
-
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
         """Check settings that exclude or need each other, and the order of numbers."""
@@ -230,6 +218,13 @@ def _with_effect(content: Mapping[str, object]) -> dict[str, object]:
     """Settings of a planner without those that a method without contingencies ignores."""
     ignored = OF_CONTINGENCIES if content.get("contingency") is False else frozenset()
     return {key: value for key, value in content.items() if key not in ignored}
+
+
+def _section(value: object) -> Mapping[str, object]:
+    """Keys of a section, as it was written or as it was read; none if it is neither."""
+    if isinstance(value, StrictModel):
+        return dict(value)
+    return value if isinstance(value, Mapping) else {}
 
 
 def _within(key: str, errors: Iterable[PydanticCustomError]) -> Iterator[PydanticCustomError]:
@@ -348,20 +343,11 @@ class Method(StrictModel):
 
     _source: Source = PrivateAttr(default_factory=Source)
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        for error in self.across_keys(
-            {name: dict(getattr(self, name)) for name in ("planner", "estimator", "controller")}
-        ):
-            raise error
-        return self
-
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
         """Check each part, and that estimator and controller have what the planner needs."""
         planner, estimator, controller = (
-            section if isinstance(section := content.get(name), Mapping) else {}
-            for name in ("planner", "estimator", "controller")
+            _section(content.get(name)) for name in ("planner", "estimator", "controller")
         )
         yield from _within("planner", PlannerSettings.across_keys(planner))
         kind = estimator.get("kind", "latest" if "estimator" not in content else None)

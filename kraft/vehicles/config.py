@@ -95,12 +95,6 @@ class VehicleConfig(StrictModel):
 
     _source: Source = PrivateAttr(default_factory=Source)
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        for error in self.across_keys(dict(self)):
-            raise error
-        return self
-
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
         """Check that the parameters which a share of gravity needs are given."""

@@ -408,6 +408,7 @@ def causes(results: Results) -> Element | None:
 
 
 MEANINGS: Final = {str(kind): kind.meaning for kind in CauseKind} | {UNRECORDED: "the trial is of an older kraft"}
+"""What each cause means."""
 
 
 def settings_of(cell: RecordedCell) -> str:
