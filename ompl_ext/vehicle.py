@@ -68,8 +68,12 @@ class ParameterRange:
 
 @dataclass(frozen=True)
 class OpenLoopErrors:
-    """Root mean square errors of open-loop predictions `after` (n,) s: `along` and `across` the vehicle (m), `yaw`."""
+    """Root mean square errors of open-loop predictions `after` (n,) s: `along` and `across` the vehicle (m), `yaw`.
 
+    `speeds` are the lowest and the highest mean speed of the drives, m/s.
+    """
+
+    speeds: tuple[float, float]
     after: tuple[float, ...]
     along: tuple[float, ...]
     across: tuple[float, ...]
@@ -113,7 +117,7 @@ class Vehicle:
     delay: tuple[float, float] | None = None
     """delay of commands and its standard deviation (s), which only estimators use; None if it is not known"""
     errors_by_speed: tuple[OpenLoopErrors, ...] = ()
-    """of predictions of drives that were not fitted, from slow to fast ones, which only estimators use"""
+    """of predictions of drives that were not fitted, from slow to fast ones; estimators and measured bounds use them"""
     file: str = field(default="", compare=False)
     """file that its numbers were read from, for messages; empty for a vehicle in code alone"""
 

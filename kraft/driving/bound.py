@@ -1,8 +1,8 @@
 """Bound of the deviation from a prediction, measured while the vehicle drives.
 
 The bound is delta(t, v) for t s since the commit and a speed of v m/s.  Its shape comes from the covariance: the error
-of the estimated pose at any time, the uncertain delay times the speed, and a growth with time by what the model leaves
-out.  These are independent, so their squares add up.  Its scale is a variance ratio, calibrated online: each cycle
+of the estimated pose at any time, the uncertain delay times the speed, wrongly predicted turns, and a growth with time
+by what the model leaves out.  These are independent, so their squares add up.  Its scale is a variance ratio, calibrated online: each cycle
 compares the deviation of the estimate from the last prediction with the bound.  The stated scale counts as a number of
 cycles, so that the calibration begins cautiously.
 """
@@ -31,7 +31,9 @@ LATER_GROWTH: Final = 0.08
 LATER_DELAY: Final = 0.1
 """Part of the bound for the speed that is expected there, at most, s."""
 UNCORRECTED: Final = 0.5
-"""Time for which a wrong acceleration moves the vehicle until the controller corrects its effect, s."""
+"""Time for which a wrong acceleration or curvature moves the vehicle until the controller corrects its effect, s."""
+SLOWEST: Final = 0.1
+"""Mean speed of drives below which their errors say nothing about turns, m/s."""
 RATIOS: Final = 33
 """Number of shapes of an ellipse for which quantiles are tabulated."""
 ANGLES: Final = 64
@@ -44,9 +46,10 @@ LARGEST: Final = 10.0
 
 @dataclass(frozen=True)
 class DeviationBound:
-    """Bound of a deviation with independent parts: the root of `delta`^2 + (`per_speed` v)^2 + (`per_time` t)^2.
+    """Bound of a deviation, the root of delta^2 + (per_speed v)^2 + (turning v)^2 + (per_time t)^2.
 
-    t is at most `horizon` s, and v at most `fastest` m/s (m, s, m/s).
+    These parts are independent.  t is at most `horizon` s, and v at most `fastest` m/s (m, s, m/s).  `per_speed` is by
+    the unknown delay, `turning` by turns that the model predicts wrongly.
     """
 
     delta: float
@@ -54,6 +57,7 @@ class DeviationBound:
     per_time: float = 0.0
     horizon: float = 0.0
     fastest: float = math.inf
+    turning: float = 0.0
 
     @property
     def clearance(self) -> Safety:
@@ -63,7 +67,7 @@ class DeviationBound:
         """
         return Safety(
             delta=self.delta,
-            delta_per_speed=_chord(self.delta, self.per_speed, self.fastest),
+            delta_per_speed=_chord(self.delta, math.hypot(self.per_speed, self.turning), self.fastest),
             delta_per_time=_chord(self.delta, self.per_time, self.horizon),
             delta_horizon=self.horizon,
         )
@@ -75,7 +79,11 @@ class DeviationBound:
     def scaled(self, factor: float) -> DeviationBound:
         """Bound times a factor."""
         return replace(
-            self, delta=factor * self.delta, per_speed=factor * self.per_speed, per_time=factor * self.per_time
+            self,
+            delta=factor * self.delta,
+            per_speed=factor * self.per_speed,
+            per_time=factor * self.per_time,
+            turning=factor * self.turning,
         )
 
     @property
@@ -87,7 +95,7 @@ class DeviationBound:
     def later(self) -> DeviationBound:
         """Bound that is expected for the later part of a plan: delay and drive will be known better then."""
         grown = math.hypot(max(self.delta, LATER_DELTA), min(self.per_time, LATER_GROWTH) * self.horizon)
-        return DeviationBound(grown, min(self.per_speed, LATER_DELAY), fastest=self.fastest)
+        return replace(self, delta=grown, per_speed=min(self.per_speed, LATER_DELAY), per_time=0.0, horizon=0.0)
 
 
 class BoundCalibration:
@@ -97,6 +105,7 @@ class BoundCalibration:
         self._settings, self._vehicle = settings, vehicle
         self._ratios, self._count = settings.prior_cycles * settings.initial**2, settings.prior_cycles
         self._last: tuple[PredictedMotion, DeviationBound] | None = None
+        self._turning = turning_error(vehicle)
 
     @property
     def factor(self) -> float:
@@ -137,8 +146,26 @@ class BoundCalibration:
         growth = math.hypot(self._settings.growth, 0.5 * UNCORRECTED * uncertainty.acceleration)
         along = float(quantiles[0])  # of what a wrong delay and a wrong drive change: the way
         return DeviationBound(
-            quantile * larger, along * uncertainty.delay, along * growth, self._settings.horizon, vehicle.top_speed
+            delta=quantile * larger,
+            per_speed=along * uncertainty.delay,
+            per_time=along * growth,
+            horizon=self._settings.horizon,
+            fastest=vehicle.top_speed,
+            turning=along * self._turning,
         )
+
+
+def turning_error(vehicle: Vehicle) -> float:
+    """Standard deviation of the deviation across a vehicle per speed (s) by turns that its model predicts wrongly.
+
+    It follows from the errors of open-loop predictions that its file states, at the speed where they are largest.  A
+    wrong curvature moves the vehicle aside with the square of time, until the controller corrects it.
+    """
+    after_correction = [
+        errors.across[0] * (UNCORRECTED / errors.after[0]) ** 2 / max(0.5 * sum(errors.speeds), SLOWEST)
+        for errors in vehicle.errors_by_speed
+    ]
+    return max(after_correction, default=0.0)
 
 
 def _chord(constant: float, slope: float, end: float) -> float:

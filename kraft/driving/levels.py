@@ -55,7 +55,11 @@ class Level:
         the delay is known: then only a delay that is not known yet makes the vehicle slow.
         """
         spared = (1.0 - self.share) * min(bound.per_speed, LATER_DELAY) if self.narrow else 0.0
-        return replace(bound.scaled(self.share * part), per_speed=part * (bound.per_speed - spared))
+        return replace(
+            bound.scaled(self.share * part),
+            per_speed=part * (bound.per_speed - spared),
+            turning=part * bound.turning,
+        )
 
 
 def levels_of(settings: PlannerSettings) -> tuple[Level, ...]:

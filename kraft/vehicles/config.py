@@ -33,7 +33,7 @@ from kraft.config.yaml_reader import Source
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles import DELAY_MAX, FORCE
-from kraft.vehicles.identification_record import IdentificationRecord
+from kraft.vehicles.identification_record import IdentificationRecord, SpeedPrediction
 from kraft.vehicles.reference import is_code
 from kraft.vehicles.true_robot import Robot, with_files
 from ompl_ext.vehicle import ParameterRange
@@ -90,6 +90,8 @@ class VehicleConfig(StrictModel):
     """delay of commands {value, std}, from which estimators start that estimate it"""
     truth: Robot | None = None
     """the true robot in trials whose scenario states none {car} or {mjcf, body, actuators, geoms} or {model}"""
+    errors_by_speed: tuple[SpeedPrediction, ...] = ()
+    """open-loop prediction errors on drives, from slow to fast ones, in place of those of the `identification`"""
     identification: IdentificationRecord | None = None
     """where the parameters come from, as `kraft sysid` writes it"""
 
@@ -103,6 +105,12 @@ class VehicleConfig(StrictModel):
             for name in [name for name in FORCE if name not in parameters]:
                 expected = f"expected the parameters {' and '.join(FORCE)} with it"
                 yield refuse(f"is given, but there is no {name}", expected, ("gravity_share",), Code.MISSING)
+
+    @property
+    def prediction_errors(self) -> tuple[SpeedPrediction, ...]:
+        """Prediction errors by speed that the file states, or those of its identification."""
+        recorded = () if self.identification is None else self.identification.by_speed
+        return self.errors_by_speed or recorded
 
     @property
     def source(self) -> Source:

@@ -114,13 +114,13 @@ def configured(config: VehicleConfig) -> Vehicle:
         ranges=config.ranges,
         gravity_share=config.gravity_share,
         delay=None if config.delay is None else (config.delay.value, config.delay.std),
-        errors_by_speed=() if config.identification is None else tuple(map(_errors, config.identification.by_speed)),
+        errors_by_speed=tuple(map(_errors, config.prediction_errors)),
         file=config.source.file,
     )
 
 
 def _errors(of_speed: SpeedPrediction) -> OpenLoopErrors:
-    return OpenLoopErrors(of_speed.after, of_speed.along, of_speed.across, of_speed.yaw)
+    return OpenLoopErrors(of_speed.speeds, of_speed.after, of_speed.along, of_speed.across, of_speed.yaw)
 
 
 def natural_robot(vehicle: Vehicle) -> tuple[Robot, Source]:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
 import pytest
 from support.replanner import mushr, proposals, replanner, start
 
-from kraft.driving.bound import UNCORRECTED, BoundCalibration, DeviationBound, radius_quantiles
+from kraft.driving.bound import UNCORRECTED, BoundCalibration, DeviationBound, radius_quantiles, turning_error
 from kraft.driving.levels import HYSTERESIS, STEADY
 from kraft.driving.messages import Commitment, Estimate, PredictedMotion, ReferenceKind, Uncertainty
 from kraft.driving.method import CalibratedBound
 from kraft.driving.proposer import Proposal
 from kraft.driving.replanner import Replanner
+from ompl_ext.vehicle import OpenLoopErrors
 
 SETTINGS = CalibratedBound()
 SHARES = CalibratedBound(foresight=60.0, shares=(1.0, 0.5, 0.25))
@@ -92,6 +94,28 @@ def test_until_the_drive_is_identified_the_bound_grows_faster() -> None:
     expected = math.hypot(SETTINGS.growth, 0.5 * UNCORRECTED * 0.4) / SETTINGS.growth
     assert faster.per_time / subject.bound(known).per_time == pytest.approx(expected)
     assert faster.delta == subject.bound(known).delta
+
+
+def test_a_vehicle_whose_turns_are_predicted_wrongly_has_a_larger_bound_at_speed() -> None:
+    slow = OpenLoopErrors((0.2, 1.0), (1.0,), (0.5,), (0.006,), (0.1,))
+    fast = OpenLoopErrors((1.0, 3.0), (1.0, 2.0), (0.1, 0.2), (0.08, 0.3), (0.1, 0.2))
+    vehicle = replace(mushr(), errors_by_speed=(slow, fast))
+    assert turning_error(vehicle) == pytest.approx(0.25 * 0.08 / 2.0)  # of a second, half a second and 2 m/s
+    assert turning_error(replace(vehicle, errors_by_speed=(slow,))) == pytest.approx(0.25 * 0.006 / 0.6)
+    assert turning_error(mushr()) == 0.0
+    known = BoundCalibration(SETTINGS, mushr()).bound(uncertainty())
+    bound = BoundCalibration(SETTINGS, vehicle).bound(uncertainty())
+    assert bound.turning == pytest.approx(SETTINGS.initial * radius_quantiles(SETTINGS.level)[1][0] * 0.01)
+    assert replace(bound, turning=0.0) == known
+    top, at_rest = np.array([vehicle.top_speed]), np.zeros(1)
+    expected = math.hypot(float(known.at(top, at_rest)[0]), bound.turning * vehicle.top_speed)
+    assert bound.at(top, at_rest) == pytest.approx(expected)
+    assert bound.at(at_rest, at_rest) == pytest.approx(bound.delta)
+
+
+def test_drives_at_a_standstill_tell_nothing_about_turns() -> None:
+    still = OpenLoopErrors((0.0, 0.0), (1.0,), (0.01,), (0.01,), (0.01,))
+    assert turning_error(replace(mushr(), errors_by_speed=(still,))) == pytest.approx(0.25 * 0.01 / 0.1)
 
 
 def test_the_largest_axis_of_the_position_counts_whatever_its_direction() -> None:

@@ -149,6 +149,17 @@ def test_only_narrow_levels_give_up_what_the_bound_asks_for_the_speed_and_never_
         assert solvers().checking.safety.delta_per_speed == pytest.approx(expected * BOUND.recheck)
 
 
+def test_every_level_keeps_what_the_bound_asks_for_turns() -> None:
+    subject = levels()
+    subject.bound = DeviationBound(0.1, 0.05, 0.02, 1.5, turning=0.03)
+    for number, level in enumerate(subject.all):
+        kept = level.kept_of(subject.bound, 0.8)
+        assert kept.turning == pytest.approx(0.8 * 0.03)
+        safety = subject.set(number, eased=False).safety
+        assert safety.delta_per_speed >= 0.03
+    assert subject.bound.later.turning == 0.03
+
+
 def test_the_rest_of_a_plan_needs_at_a_narrow_level_what_suffices_when_it_is_checked_again() -> None:
     subject = levels()
     subject.bound = DeviationBound(0.1, 0.2, 0.05, 1.5)

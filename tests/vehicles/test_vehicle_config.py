@@ -38,6 +38,16 @@ def test_a_delay_of_commands_may_be_stated(tmp_path: Path) -> None:
     assert load_vehicle("mushr").delay is None
 
 
+def test_errors_of_predictions_by_speed_may_be_stated(tmp_path: Path) -> None:
+    errors = "{speeds: [0, 1.5], windows: 9, after: [1, 2], along: [0.1, 0.2], across: [0.01, 0.03], yaw: [0.1, 0.1]}"
+    (found,) = car(tmp_path, CAR + f"errors_by_speed: [{errors}]\n").prediction_errors
+    assert (found.speeds, found.after, found.across) == ((0.0, 1.5), (1.0, 2.0), (0.01, 0.03))
+    assert car(tmp_path, CAR).prediction_errors == ()
+    slow, *_, fast = load_vehicle("f1tenth").errors_by_speed
+    assert slow.speeds[1] < fast.speeds[0]
+    assert len(problems_of(tmp_path, CAR + f"errors_by_speed: [{errors.replace('[0.01, 0.03]', '[0.01]')}]\n")) == 1
+
+
 @pytest.mark.parametrize("delay", ["{value: -0.1, std: 0.01}", "{value: 0.6, std: 0.01}", "{value: 0.1, std: 0}"])
 def test_a_delay_that_no_estimate_could_have_is_refused(tmp_path: Path, delay: str) -> None:
     assert len(problems_of(tmp_path, CAR + f"delay: {delay}\n")) == 1
