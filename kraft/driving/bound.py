@@ -2,9 +2,9 @@
 
 The bound is delta(t, v) for t s since the commit and a speed of v m/s.  Its shape comes from the covariance: the error
 of the estimated pose at any time, the uncertain delay times the speed, wrongly predicted turns, and a growth with time
-by what the model leaves out.  These are independent, so their squares add up.  Its scale is a variance ratio, calibrated online: each cycle
-compares the deviation of the estimate from the last prediction with the bound.  The stated scale counts as a number of
-cycles, so that the calibration begins cautiously.
+by what the model leaves out.  These are independent, so their squares add up.  Its scale is a variance ratio,
+calibrated online: each cycle compares the deviation of the estimate from the last prediction with the bound.  The
+stated scale counts as a number of cycles, so that the calibration begins cautiously.
 """
 
 from __future__ import annotations
