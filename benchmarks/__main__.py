@@ -33,6 +33,7 @@ TOPICS = (
     "drive",
     "theorem",
     "estimated",
+    "knowledge",
     "estimates",
     "changes",
     "arenas",
@@ -49,7 +50,7 @@ TOPICS = (
     "endurance",
 )
 NEEDS_OUT = ("peers",)
-CHOSEN = ("estimated", "estimates", "changes", "arenas", "worlds", "headings")
+CHOSEN = ("estimated", "knowledge", "estimates", "changes", "arenas", "worlds", "headings")
 """Topics that drive with a method of one's choice."""
 
 

@@ -6,9 +6,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from support.benchmarks import quantities
 
-from benchmarks import estimated, estimates
+from benchmarks import estimated, estimates, knowledge
 from benchmarks.effort import SMOKE
 from kraft.vehicles.load import load_vehicle
 
@@ -47,6 +48,24 @@ def test_further_drives_of_a_world_are_counted_apart() -> None:
     rows = [value for name, value in found.items() if "further" in name or "these" in name]
     assert found["episodes"] == 2
     assert rows == [75.0, 1.0, 25.0]
+
+
+def test_a_robot_knows_what_the_benchmark_says_and_nothing_more() -> None:
+    spec, true = estimated.episode_parts(knowledge.PRONE[0], SMOKE.method)
+    assert knowledge.knowing(spec, true, ()) == spec.vehicle
+    told = knowledge.knowing(spec, true, (*knowledge.TURNING, *knowledge.DELAY))
+    for name, value in told.parameters.items():
+        known = name in knowledge.TURNING
+        assert value == (true if known else spec.vehicle).parameters[name]
+        share = knowledge.NARROWER if known else 1.0
+        assert told.ranges[name].std == pytest.approx(share * spec.vehicle.ranges[name].std)
+    sensing = spec.scenario.sensing
+    assert told.delay == (sensing.command_delay + sensing.latency, knowledge.DELAY_STD)
+
+
+def test_a_prone_world_is_driven_with_other_seeds() -> None:
+    first, again = (knowledge.outcome(k, (), SMOKE.method) for k in (2, 2 + len(knowledge.PRONE)))
+    assert {first, again} <= {"success", "collision", "timeout"}
 
 
 def test_estimates_are_compared_with_the_truth_at_their_own_time() -> None:
