@@ -2,6 +2,7 @@
 
 identify(vehicle, logs, settings)                  parameters, intervals, warnings, smoothed states
 prediction_errors(vehicle, logs, values, settings) how far open-loop prediction is off
+errors_by_speed(windows)                           the same by speed, as a vehicle file states it
 
 Names are imported when they are first used: a vehicle that drives needs only the factor graph.
 """
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 import lazy_loader
 
 if TYPE_CHECKING:
+    from kraft.sysid.acceptance import errors_by_speed as errors_by_speed
     from kraft.sysid.identify import identify as identify
     from kraft.sysid.interface import Identification as Identification
     from kraft.sysid.interface import LogFit as LogFit
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
+        "acceptance": ["errors_by_speed"],
         "identify": ["identify"],
         "interface": [
             "Identification", "LogFit", "Noise", "ParameterEstimate", "PartFit", "PredictionErrors", "Settings"

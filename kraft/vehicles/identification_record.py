@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import AfterValidator, Field, StringConstraints, model_validator
 
 from kraft.config.schema import NonNegative, Number, Positive, StrictModel, refuse
 from kraft.errors import Code
@@ -108,15 +109,27 @@ class Prediction(StrictModel):
     """yaw over all poses of all windows, rad"""
 
 
+def _lowest_first(interval: tuple[float, float]) -> tuple[float, float]:
+    if interval[0] > interval[1]:
+        raise refuse(f"is [{interval[0]:g}, {interval[1]:g}]", "expected the lowest speed first")
+    return interval
+
+
+def _ascending(times: tuple[float, ...]) -> tuple[float, ...]:
+    if any(later <= earlier for earlier, later in pairwise(times)):
+        raise refuse("is not ascending", "expected each time once, the earliest first")
+    return times
+
+
 class SpeedPrediction(StrictModel):
     """Root mean square errors of open-loop prediction at similar speeds, along the vehicle and across it."""
 
-    speeds: tuple[NonNegative, NonNegative]
+    speeds: Annotated[tuple[NonNegative, NonNegative], AfterValidator(_lowest_first)]
     """lowest and highest mean speed of the windows, m/s"""
     windows: Annotated[int, Field(ge=1)]
     """number of windows"""
-    after: tuple[Positive, ...]
-    """times since the beginning of a window, s"""
+    after: Annotated[tuple[Positive, ...], Field(min_length=1), AfterValidator(_ascending)]
+    """times since the beginning of a window, s, ascending"""
     along: tuple[NonNegative, ...]
     """position along the vehicle after these times, m"""
     across: tuple[NonNegative, ...]

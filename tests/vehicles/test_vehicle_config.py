@@ -45,6 +45,8 @@ def test_errors_of_predictions_by_speed_may_be_stated(tmp_path: Path) -> None:
     assert car(tmp_path, CAR).prediction_errors == ()
     slow, *_, fast = load_vehicle("f1tenth").errors_by_speed
     assert slow.speeds[1] < fast.speeds[0]
+    wrong = errors.replace("[0, 1.5]", "[1.5, 0]").replace("[1, 2]", "[2, 1]")
+    assert len(problems_of(tmp_path, CAR + f"errors_by_speed: [{wrong}, {errors.replace('[1, 2]', '[]')}]\n")) == 3
     assert len(problems_of(tmp_path, CAR + f"errors_by_speed: [{errors.replace('[0.01, 0.03]', '[0.01]')}]\n")) == 1
 
 
