@@ -14,6 +14,8 @@ from typing import Any
 from benchmarks.effort import FULL, QUICK, Effort
 from benchmarks.machine import describe
 from benchmarks.report import Report
+from kraft.driving.method import load_method
+from kraft.errors import InputError
 
 TOPICS = (
     "planner",
@@ -64,6 +66,10 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     if unknown := [topic for topic in given.topics if topic not in TOPICS]:
         parser.error(f"there is no topic {', '.join(unknown)}; expected {', '.join(TOPICS)}")
+    try:
+        load_method(given.method)
+    except InputError as error:
+        parser.error(str(error))
     effort = replace(QUICK if given.quick else FULL, method=given.method)
     given.out.mkdir(parents=True, exist_ok=True)
     content: dict[str, Any] = {"machine": describe(), "quick": given.quick, "topics": {}}

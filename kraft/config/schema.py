@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from kraft.config.yaml_reader import Document, KeyPath, Source, Value, read_document
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.text import nearest, suggestion
+from kraft.text import counted, nearest, suggestion
 
 
 class StrictModel(BaseModel):
@@ -201,9 +201,11 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
         tags = [tag.strip(" '") for tag in context["expected_tags"].split(",")]
         return source.diagnostic((*path, "kind"), f"is {describe(given['kind'])}", suggestion(context["tag"], tags))
     if kind == "too_long":
-        return source.diagnostic(path, "the list is too long", f"expected {context['max_length']} items{about}")
+        most = counted(context["max_length"], "item")
+        return source.diagnostic(path, "the list is too long", f"expected {most}{about}")
     if kind == "too_short":
-        return source.diagnostic(path, "the list is too short", f"expected {context['min_length']} items or more")
+        least = counted(context["min_length"], "item")
+        return source.diagnostic(path, "the list is too short", f"expected {least} or more")
     if kind == "literal_error":
         return source.diagnostic(path, f"is {describe(given)}", suggestion(str(given), known.choices))
     if kind in _LIMITS:

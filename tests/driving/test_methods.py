@@ -112,7 +112,7 @@ def test_a_good_file_with_a_bound_has_no_problems(tmp_path: Path) -> None:
         ("[1.0, 0.5]", "[1.0, 0.5, 0.5]", (3, 78), "planner.bound.shares[2]", "less than 0.5"),
         ("[1.0, 0.5]", "[1.0, 0]", (3, 73), "planner.bound.shares[1]", "greater than 0"),
         ("[1.0, 0.5]", "[1.5, 0.5]", (3, 68), "planner.bound.shares[0]", "at most 1"),
-        ("[1.0, 0.5]", "[]", (3, 67), "planner.bound.shares", "1 items or more"),
+        ("[1.0, 0.5]", "[]", (3, 67), "planner.bound.shares", "1 item or more"),
         ("[0.7, 2.5]", "[2.5, 0.7]", (3, 87), "planner.bound.limits", "least < largest"),
         ("[0.7, 2.5]", "[0.7, 0.7]", (3, 87), "planner.bound.limits", "least < largest"),
         ("shares", "share", (3, 59), "planner.bound.share", "did you mean 'shares'"),
