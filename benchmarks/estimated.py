@@ -138,21 +138,24 @@ def further_rows(further: Sequence[Episode]) -> list[Row]:
 def episode(number: int, name: str, again: int = 0) -> Episode:
     """Drive episode `number`; `again` is the number of another drive of its world and car, with other seeds."""
     began = clock.process_time()
-    spec, true = episode_parts(number, name)
-    spec = replace(spec, seed=spec.seed + OTHER_SEEDS * again)
-    result = run_trial(spec, world=ModelWorld(spec.scenario, true, {}, spec.seed))
-    return judged(number, result, spec.vehicle, clock.process_time() - began)
+    spec, true = episode_parts(number, name, again)
+    return judged(number, driven(spec, true), spec.vehicle, clock.process_time() - began)
 
 
-def episode_parts(number: int, name: str) -> tuple[TrialSpec, Vehicle]:
-    """Trial of an episode, and its true car."""
+def driven(spec: TrialSpec, true: Vehicle) -> TrialResult:
+    """Result of a trial with this true car."""
+    return run_trial(spec, world=ModelWorld(spec.scenario, true, {}, spec.seed))
+
+
+def episode_parts(number: int, name: str, again: int = 0) -> tuple[TrialSpec, Vehicle]:
+    """Trial of an episode, or number `again` of its other ones, and its true car."""
     rng = np.random.default_rng([31, number])
     sensing = {key: float(rng.uniform(0.0, most)) for key, most in DELAYS.items()}
     sensing |= {"noise_scale": float(rng.uniform(*NOISE)), "correlation_time": float(rng.uniform(*CORRELATION))}
     scenario = random_arena(number, "open", (1.0, 1.0), sensing=sensing, trial={"timeout": TIMEOUT})
     method = load_method(name)
     vehicle = load_vehicle(method.planner.vehicle or scenario.vehicle)
-    return TrialSpec(scenario, cheaper(method), vehicle, number), random_car(rng, vehicle)
+    return TrialSpec(scenario, cheaper(method), vehicle, number + OTHER_SEEDS * again), random_car(rng, vehicle)
 
 
 def cheaper(method: Method) -> Method:

@@ -7,12 +7,10 @@ from dataclasses import replace
 from functools import partial
 
 from benchmarks.effort import Effort
-from benchmarks.estimated import OTHER_SEEDS, episode_parts
+from benchmarks.estimated import driven, episode_parts
 from benchmarks.parallel import each, interval, planning_vehicle
 from benchmarks.report import Report, Row, row
-from kraft.simulation.true_world import ModelWorld
 from kraft.trial.result import Outcome, TrialSpec
-from kraft.trial.trial import run_trial
 from ompl_ext.vehicle import Vehicle
 
 PRONE = (
@@ -56,10 +54,8 @@ def run(effort: Effort) -> Report:
 def outcome(k: int, names: tuple[str, ...], method: str) -> str:
     """Outcome of drive k of the prone worlds, where the robot knows the parameters `names`."""
     number, again = PRONE[k % len(PRONE)], 1 + k // len(PRONE)
-    spec, true = episode_parts(number, method)
-    seed = spec.seed + OTHER_SEEDS * again
-    spec = replace(spec, seed=seed, vehicle=knowing(spec, true, names))
-    return str(run_trial(spec, world=ModelWorld(spec.scenario, true, {}, seed)).outcome)
+    spec, true = episode_parts(number, method, again)
+    return str(driven(replace(spec, vehicle=knowing(spec, true, names)), true).outcome)
 
 
 def knowing(spec: TrialSpec, true: Vehicle, names: tuple[str, ...]) -> Vehicle:
