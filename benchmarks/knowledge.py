@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 from benchmarks.effort import Effort
@@ -19,19 +19,38 @@ PRONE = (
 )  # fmt: skip
 """Episodes of `estimated`, of 12000 to 13999, in which a car collided when they were first driven."""
 DRIVE, TURNING, FORCE, DELAY = ("v_delta", "tau", "u_0"), ("L", "phi_diff"), ("a_x", "a_y"), ("delay",)
-KNOWN = {
-    "nothing more": (),
-    "delay": DELAY,
-    "drive: gain, time constant, friction": DRIVE,
-    "wheelbase and steering offset": TURNING,
-    "force of the floor": FORCE,
-    "force and turning": (*FORCE, *TURNING),
-    "force and drive": (*FORCE, *DRIVE),
-    "all of it": (*DRIVE, *TURNING, *FORCE, *DELAY),
-}
-"""What is known, by its description in the table."""
 NARROWER = 0.1  # standard deviation of what is known, as a share of that of its prior
 DELAY_STD = 0.01  # that of a known delay (s)
+
+
+@dataclass(frozen=True)
+class Known:
+    """Parameters `names` that the robot knows, or the delay.
+
+    Their priors have `narrower` times their deviation, and their means are moved to the truth by this share of the way.
+    """
+
+    names: tuple[str, ...] = ()
+    moved: float = 1.0
+    narrower: float = NARROWER
+
+
+KNOWN = {
+    "nothing more": Known(),
+    "wheelbase and steering offset twice as wrong": Known(TURNING, -1.0, 1.0),
+    "delay": Known(DELAY),
+    "drive: gain, time constant, friction": Known(DRIVE),
+    "wheelbase and steering offset": Known(TURNING),
+    "force of the floor": Known(FORCE),
+    "force and turning": Known((*FORCE, *TURNING)),
+    "force and drive": Known((*FORCE, *DRIVE)),
+    "all of it": Known((*DRIVE, *TURNING, *FORCE, *DELAY)),
+}
+"""What is known, by its description in the table.
+
+The worlds are chosen by what happened there.  Whatever changes the plans from there on lets fewer cars collide, as the
+second row shows, where the robot knows less.
+"""
 
 
 def run(effort: Effort) -> Report:
@@ -39,11 +58,11 @@ def run(effort: Effort) -> Report:
     planning_vehicle(effort.method)
     drives = len(PRONE) * effort.again
     rows: list[Row] = []
-    for known, names in KNOWN.items():
-        found = Counter(each(partial(outcome, names=names, method=effort.method), range(drives), effort.jobs, chunk=2))
+    for label, known in KNOWN.items():
+        found = Counter(each(partial(outcome, known=known, method=effort.method), range(drives), effort.jobs, chunk=2))
         hits, late = found[str(Outcome.COLLISION)], found[str(Outcome.TIMEOUT)]
-        label = f"collisions, known: {known} ({hits} of {drives}, {interval(hits, drives)}; {late} timeouts)"
-        rows.append(row(label, "%", [100.0 * hits / drives]))
+        counted = f"{hits} of {drives}, {interval(hits, drives)}; {late} timeouts"
+        rows.append(row(f"collisions, known: {label} ({counted})", "%", [100.0 * hits / drives]))
     notes = [
         f"{effort.method}; {len(PRONE)} worlds of `estimated` in which a car collided; seeds of each: {effort.again}.",
         f"What is known has its true value and {NARROWER:g} of its prior's deviation, a delay {DELAY_STD:g} s.",
@@ -51,21 +70,20 @@ def run(effort: Effort) -> Report:
     return Report("knowledge", rows, notes=notes)
 
 
-def outcome(k: int, names: tuple[str, ...], method: str) -> str:
-    """Outcome of drive k of the prone worlds, where the robot knows the parameters `names`."""
+def outcome(k: int, known: Known, method: str) -> str:
+    """Outcome of drive k of the prone worlds, with what the robot knows."""
     number, again = PRONE[k % len(PRONE)], 1 + k // len(PRONE)
     spec, true = episode_parts(number, method, again)
-    return str(driven(replace(spec, vehicle=knowing(spec, true, names)), true).outcome)
+    return str(driven(replace(spec, vehicle=knowing(spec, true, known)), true).outcome)
 
 
-def knowing(spec: TrialSpec, true: Vehicle, names: tuple[str, ...]) -> Vehicle:
-    """The vehicle that the robot plans with, knowing some parameters of the `true` one, or the delay of commands."""
+def knowing(spec: TrialSpec, true: Vehicle, known: Known) -> Vehicle:
+    """The vehicle that the robot plans with, if it knows something of the `true` one, or the delay of commands."""
     vehicle, sensing = spec.vehicle, spec.scenario.sensing
-    known = [name for name in names if name in vehicle.parameters]
-    ranges = {name: replace(vehicle.ranges[name], std=NARROWER * vehicle.ranges[name].std) for name in known}
-    delay = vehicle.delay if "delay" not in names else (sensing.command_delay + sensing.latency, DELAY_STD)
-    return replace(
-        vehicle.with_parameters({name: true.parameters[name] for name in known}),
-        ranges={**vehicle.ranges, **ranges},
-        delay=delay,
-    )
+    ranges, values = dict(vehicle.ranges), {}
+    for name in vehicle.parameters.keys() & set(known.names):
+        ranges[name] = replace(ranges[name], std=known.narrower * ranges[name].std)
+        prior = vehicle.parameters[name]
+        values[name] = prior + known.moved * (true.parameters[name] - prior)
+    delay = vehicle.delay if "delay" not in known.names else (sensing.command_delay + sensing.latency, DELAY_STD)
+    return replace(vehicle.with_parameters(values), ranges=ranges, delay=delay)

@@ -52,19 +52,24 @@ def test_further_drives_of_a_world_are_counted_apart() -> None:
 
 def test_a_robot_knows_what_the_benchmark_says_and_nothing_more() -> None:
     spec, true = estimated.episode_parts(knowledge.PRONE[0], SMOKE.method)
-    assert knowledge.knowing(spec, true, ()) == spec.vehicle
-    told = knowledge.knowing(spec, true, (*knowledge.TURNING, *knowledge.DELAY))
+    assert knowledge.knowing(spec, true, knowledge.Known()) == spec.vehicle
+    told = knowledge.knowing(spec, true, knowledge.Known((*knowledge.TURNING, *knowledge.DELAY)))
     for name, value in told.parameters.items():
         known = name in knowledge.TURNING
-        assert value == (true if known else spec.vehicle).parameters[name]
+        assert value == pytest.approx((true if known else spec.vehicle).parameters[name])
         share = knowledge.NARROWER if known else 1.0
         assert told.ranges[name].std == pytest.approx(share * spec.vehicle.ranges[name].std)
     sensing = spec.scenario.sensing
     assert told.delay == (sensing.command_delay + sensing.latency, knowledge.DELAY_STD)
+    misled = knowledge.knowing(spec, true, knowledge.KNOWN["wheelbase and steering offset twice as wrong"])
+    assert misled.ranges == spec.vehicle.ranges
+    assert true.parameters["L"] - misled.parameters["L"] == pytest.approx(
+        2.0 * (true.parameters["L"] - spec.vehicle.parameters["L"])
+    )
 
 
 def test_a_prone_world_is_driven_with_other_seeds() -> None:
-    first, again = (knowledge.outcome(k, (), SMOKE.method) for k in (2, 2 + len(knowledge.PRONE)))
+    first, again = (knowledge.outcome(k, knowledge.Known(), SMOKE.method) for k in (2, 2 + len(knowledge.PRONE)))
     assert {first, again} <= {"success", "collision", "timeout"}
 
 
