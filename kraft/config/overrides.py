@@ -147,7 +147,8 @@ def value_text(value: Any) -> str:
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, str):
-        return value if _WORD.fullmatch(value) and not _UNQUOTED.fullmatch(value) else json.dumps(value)
+        plain = _WORD.fullmatch(value) and not _UNQUOTED.fullmatch(value)
+        return value if plain else json.dumps(value, ensure_ascii=False)
     return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 

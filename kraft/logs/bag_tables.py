@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
 from operator import attrgetter
@@ -109,6 +111,8 @@ def _read(reader: AnyReader, chosen: Sequence[Any]) -> dict[str, _Topic]:
         header = getattr(message, "header", None)
         if header is not None:
             topic.stamps.append(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec)
+        if connection.msgtype == _JOINTS:
+            topic.getters.update(_getters(message, ""))  # a message has some of the joints, in any order
         topic.rows.append(tuple(float(get(message)) for get in topic.getters.values()))
     return read
 
@@ -139,7 +143,7 @@ def _check_counts(chosen: Sequence[Any], read: Mapping[str, _Topic]) -> None:
 def _getters(value: Any, name: str) -> Iterable[tuple[str, Any]]:
     """Name and getter of each number in a message: ``pose.position.x``, ``buttons[4]``; of joints by their names."""
     if getattr(value, "__msgtype__", "") == _JOINTS:
-        yield from ((joint, _item("position", i)) for i, joint in enumerate(value.name))
+        yield from ((joint, _position_of(joint)) for joint in value.name)
         return
     for part in fields(value):
         inner, path = getattr(value, part.name), f"{name}{part.name}"
@@ -155,6 +159,16 @@ def _getters(value: Any, name: str) -> Iterable[tuple[str, Any]]:
             yield from ((f"{path}[{i}]", _item(path, i)) for i in range(len(inner)))
 
 
+def _position_of(joint: str) -> Callable[[Any], float]:
+    """Getter of the position of a joint, NaN in a message without it: publishers of one topic list other joints."""
+
+    def position(message: Any) -> float:
+        k = message.name.index(joint) if joint in message.name else -1
+        return float(message.position[k]) if 0 <= k < len(message.position) else math.nan
+
+    return position
+
+
 def _item(path: str, i: int) -> Any:
     get = attrgetter(path)
     return lambda message: get(message)[i] if i < len(get(message)) else float("nan")
@@ -165,7 +179,8 @@ def _table(file: str, name: str, topic: _Topic, origin: int) -> Table:
     columns = {LOG_TIME: np.array([1e-9 * (time - origin) for time in topic.times])}
     if topic.stamps and any(topic.stamps):
         columns[STAMP] = np.array([1e-9 * (stamp - origin) for stamp in topic.stamps])
-    columns.update(zip(topic.getters, np.array(topic.rows, float).reshape(len(topic.rows), -1).T, strict=True))
+    by_column = itertools.zip_longest(*topic.rows, fillvalue=math.nan)  # before a joint appears it has no numbers
+    columns.update((name, np.array(values, float)) for name, values in zip(topic.getters, by_column, strict=True))
     return Table(file, name, columns, np.arange(1, len(topic.rows) + 1))
 
 

@@ -412,9 +412,9 @@ def draw_histogram(axes: Axes, residuals: Floats, sigma: float, unit: str) -> No
 def draw_trials(axes: Axes, trials: Sequence[ModelTrial]) -> list[ColouredText]:
     """Draw the errors by time of each structure, in the order in which they were tried; return the key of the times."""
     at, found = np.arange(len(trials)), list[ColouredText]()
-    for share, after in enumerate(sorted(trials[0].errors)):
+    for share, after in enumerate(sorted({after for trial in trials for after in trial.errors})):
         colour = (DATA, INK, IDENTIFIED)[min(share, 2)]
-        errors = 100.0 * np.array([trial.errors[after] for trial in trials])
+        errors = 100.0 * np.array([trial.errors.get(after, math.nan) for trial in trials])
         for model in {trial.model: None for trial in trials}:
             own = [k for k, trial in enumerate(trials) if trial.model == model and not trial.added]
             axes.plot(at[own], errors[own], ".-", color=colour, linewidth=1.2, markersize=4.0)
@@ -456,8 +456,8 @@ def _tried(trials: Sequence[ModelTrial], k: int) -> str:
 
 
 def draw_models(axes: Axes, models: Sequence[ModelTrial]) -> None:
-    """Draw the errors of models at the longest time."""
-    after = max(models[0].errors)
+    """Draw the errors of models at the longest time that all of them predict."""
+    after = max(set.intersection(*(set(model.errors) for model in models)))
     errors = [100.0 * model.errors[after] for model in models]
     colours = [IDENTIFIED if model.chosen else DATA for model in models]
     axes.barh(range(len(models)), errors, height=0.6, color=colours)

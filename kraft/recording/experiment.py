@@ -157,7 +157,7 @@ class _Search:
         old, new = (dict(zip(known.names, k.std.tolist(), strict=True)) for k in (known, self._known))
         none = np.zeros((1, *self._reference.shape))
         errors = [float(k.uncertainty_errors(self._weight, none)[0]) for k in (known, self._known)]
-        words = _in_words(best.elements, self._model)
+        words = in_words(best.elements, self._model)
         return PlannedDrive(best.elements, words, self._commands(best.elements), best.path, old, new, *errors)
 
     def _random(self) -> tuple[Element, ...]:
@@ -194,7 +194,7 @@ class _Search:
     def _commands(self, elements: tuple[Element, ...]) -> Manoeuvre:
         times, controls, at, turn = [0.0], [self._model.drive_control(0.0, 0.0) + 0.0], REST, 0.0
         for element in elements:
-            for since, drive, turn in _sampled(element):
+            for since, drive, turn in sampled(element):
                 times.append(at + since)
                 controls.append(self._model.drive_control(drive, turn) + 0.0)  # no negative zeros in files
             at += element.duration
@@ -226,7 +226,7 @@ def _fits_in_time(elements: Sequence[Element]) -> bool:
     return sum(e.duration for e in elements) <= DURATION - REST - COASTING + 1e-9
 
 
-def _sampled(element: Element) -> Iterator[tuple[float, float, float]]:
+def sampled(element: Element) -> Iterator[tuple[float, float, float]]:
     """Time since its beginning, drive and turn of each of its commands."""
     if element.first == element.last:
         yield 0.0, *element.first
@@ -312,7 +312,7 @@ def extent(poses: Sequence[Floats]) -> Area:
     return Area(length, width)
 
 
-def _in_words(elements: Sequence[Element], model: VehicleModel) -> tuple[str, ...]:
+def in_words(elements: Sequence[Element], model: VehicleModel) -> tuple[str, ...]:
     """What to do, one phrase for each element, from standstill to coasting."""
     names = tuple(model.vehicle.controls)
     joined: list[Element] = []
@@ -322,7 +322,7 @@ def _in_words(elements: Sequence[Element], model: VehicleModel) -> tuple[str, ..
         else:
             joined.append(element)
     found = [_phrase(element, names, model) for element in joined]
-    turn = elements[-1].last[1]
+    *_, (_, _, turn) = sampled(elements[-1])  # which is held while the vehicle coasts
     return (*found, f"{_constant(names, model.drive_control(0.0, turn))} for {COASTING:g} s")
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.errors import InputError, NegativeResult
+from kraft.errors import Code, InputError, NegativeResult
 from kraft.sysid.base_vehicle import BaseVehicle, for_commands, load_base_vehicle, with_speed
 from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.data import LogSplit, usable_logs
@@ -101,6 +101,8 @@ def identify_car(
         InputError: if the logs cannot be used, or a command never changes in them.
     """
     settings = settings or Settings()
+    if not logs:
+        raise InputError.of("logs", "there are none", "expected at least one log with commands and poses", Code.MISSING)
     check_controls(logs, SteeringInMotion.of(logs))
     car = _with_terms(logs, settings, on_iteration)
     judged, refused = [_judged(car, logs, settings)], []
@@ -190,7 +192,11 @@ def _judged(model: IdentifiedCar, logs: Sequence[Log], settings: Settings) -> _C
 
 
 def _trial(candidate: _Candidate, *, chosen: bool) -> ModelTrial:
-    errors = dict(zip(HORIZONS, map(float, np.nanmean(candidate.errors, axis=0)), strict=True))
+    errors = {
+        after: float(np.nanmean(of_logs))
+        for after, of_logs in zip(HORIZONS, candidate.errors.T, strict=True)
+        if not np.isnan(of_logs).all()
+    }
     identification = candidate.model.identification
     on = next((trial.terms for trial in identification.trials if trial.chosen), identification.auxiliary)
     return ModelTrial(candidate.model.base.name, on, "", errors, chosen)

@@ -216,7 +216,11 @@ def check_controls(logs: Sequence[Log], steered: SteeringInMotion) -> None:
 
 def _trial(structure: Structure, *, chosen: bool, horizon: float) -> ModelTrial:
     times = [share * horizon for share in HORIZON_SHARES]
-    errors = {t: float(e * t) for t, e in zip(times, np.nanmean(structure.errors, axis=0), strict=True)}
+    errors = {
+        t: float(t * np.nanmean(of_folds))
+        for t, of_folds in zip(times, structure.errors.T, strict=True)
+        if not np.isnan(of_folds).all()
+    }
     name = structure.graph.problem.parameters.vehicle.name
     return ModelTrial(name, structure.terms, structure.without, errors, chosen, structure.added)
 

@@ -149,7 +149,7 @@ class ModelTrial:
     without: str
     """the one that was switched off last; empty for the first model"""
     errors: Mapping[float, float]
-    """position error by time since the beginning of a window (s), m"""
+    """position error by time since the beginning of a window (s), m; without times that no window reaches"""
     chosen: bool
     added: str = ""
     """terms that were switched on again at the end"""

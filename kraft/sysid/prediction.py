@@ -166,6 +166,8 @@ class Predictor:
         counts = np.array([len(s.part.pose_times[s.poses]) for s in segments])[:, None]
         self.since: Floats = windows.since - known[:, None]
         """(W, n) time since the beginning of the window, s"""
+        self.interval: Floats = np.array([np.median(np.diff(p.segment.part.pose_times[p.ahead])) for p in pieces])
+        """(W,) usual time between two poses, s"""
         self.ahead: Bools = (self.since >= -1e-9) & (np.arange(self.since.shape[1]) < counts)
         """(W, n) whether it is a pose of the window"""
         self.observed: Floats = windows.poses

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from kraft.errors import Code, InputError
 from kraft.sysid.initial_values import InitialSearch, drive_values
 from kraft.sysid.interface import AT_BOUND, Settings
 from kraft.sysid.multistep import CONVERGED, MultiStep, fit, in_parallel
@@ -100,7 +101,7 @@ class Structure:
     graph: MultiStep
     optimum: Optimum
     errors: Matrix
-    """(folds, horizons) over their time, m/s"""
+    """(folds, horizons) over their time, m/s; NaN of what no window of a fold reaches"""
     others: Matrix
     """(folds, np) parameters that the other folds give, to first order"""
     without: str = ""
@@ -110,9 +111,16 @@ class Structure:
 
     @cached_property
     def scores(self) -> Floats:
-        """(folds,) mean of the errors over their time, m/s."""
-        scores: Floats = np.nanmean(self.errors, axis=1)
+        """(folds,) mean of the errors over their time, m/s; NaN of a fold that is too short to be predicted."""
+        known = ~np.isnan(self.errors)
+        with np.errstate(invalid="ignore"):
+            scores: Floats = np.nansum(self.errors, axis=1) / known.sum(axis=1)
         return scores
+
+    @property
+    def score(self) -> float:
+        """Mean of the scores of the folds that are predicted, m/s."""
+        return float(np.nanmean(self.scores))
 
 
 class StructureSearch:
@@ -149,7 +157,7 @@ class StructureSearch:
         windows = windows_of(segments, [part for _, part in found], folds_of(segments, len(logs)))
         self.windows = replace(windows, halved=window is not None)  # errors of steps add up in long windows
         self._pieces = pieces_of(logs, settings, settings.horizon)
-        self._predictors: list[Predictor] = []
+        self._predictors: dict[int, Predictor] = {}
 
     def parameters(self, terms: Sequence[str]) -> Parameters:
         """Parameters with the given terms on, and the others at their neutral value and frozen."""
@@ -358,27 +366,32 @@ class StructureSearch:
         rhos = [p.within_bounds(point.rho + step - left) for step in steps]
         errors = np.full((windows.folds, len(HORIZON_SHARES)), np.nan)
         predictors = self._predictors_of_folds()
-        predicted = in_parallel(lambda fold: predictors[fold].poses(rhos[fold]), range(windows.folds))
-        for fold, predictor in enumerate(predictors):
-            off = predicted[fold] - predictor.observed
+        predicted = in_parallel(lambda fold: predictors[fold].poses(rhos[fold]), predictors)
+        for (fold, predictor), poses in zip(predictors.items(), predicted, strict=True):
+            off = poses - predictor.observed
             size = np.nan_to_num(np.hypot(off[..., 0], off[..., 1]), nan=DIVERGED)
             square = np.minimum(size, DIVERGED) ** 2
             for i, share in enumerate(HORIZON_SHARES):
                 after = share * self.settings.horizon
-                at = predictor.ahead & (np.abs(predictor.since - after) <= 0.75 * self.settings.step)
+                tolerance = np.maximum(0.75 * self.settings.step, 0.5 * predictor.interval)
+                at = predictor.ahead & (np.abs(predictor.since - after) <= tolerance[:, None])
                 if at.any():
                     errors[fold, i] = math.sqrt(float(np.mean(square[at]))) / after
+        if np.isnan(errors).all():
+            least = HORIZON_SHARES[0] * self.settings.horizon
+            problem = f"have no stretch that is predicted for {least:.3g} s, a third of the horizon"
+            raise InputError.of("logs", problem, "expected longer drives, or a shorter horizon", Code.DATA)
         return Structure(terms, graph, optimum, errors, np.array(rhos))
 
-    def _predictors_of_folds(self) -> list[Predictor]:
-        """Predictors of the windows of each fold, which keep what they found for the structure before."""
+    def _predictors_of_folds(self) -> dict[int, Predictor]:
+        """Predictors of the windows of each fold that has any; they keep what they found for the structure before."""
         if not self._predictors:
             p, folds = self.parameters(self.candidates), [self._fold_of(piece) for piece in self._pieces]
-            self._predictors = [
-                Predictor([piece for piece, own in zip(self._pieces, folds, strict=True) if own == fold], p,
-                          self.noise, self.growth, self.variation.total)
-                for fold in range(self.windows.folds)
-            ]  # fmt: skip
+            self._predictors = {
+                fold: Predictor([piece for piece, own in zip(self._pieces, folds, strict=True) if own == fold], p,
+                                self.noise, self.growth, self.variation.total)
+                for fold in sorted(set(folds))
+            }  # fmt: skip
         return self._predictors
 
     def _fold_of(self, piece: Piece) -> int:
@@ -422,7 +435,7 @@ class StructureSearch:
 
 def best_of(path: Sequence[Structure]) -> Structure:
     """The structure with the least mean error."""
-    return min(path, key=lambda s: float(s.scores.mean()))
+    return min(path, key=lambda s: s.score)
 
 
 def chosen(path: Sequence[Structure]) -> Structure:
@@ -435,13 +448,15 @@ def chosen(path: Sequence[Structure]) -> Structure:
 
 def _simplest(structures: Sequence[Structure]) -> Structure:
     """The structure with the fewest terms, and among those the one with the least mean error."""
-    return min(structures, key=lambda s: (len(s.terms), float(s.scores.mean())))
+    return min(structures, key=lambda s: (len(s.terms), s.score))
 
 
 def is_near(structure: Structure, best: Structure, share: float) -> bool:
     """Whether the mean error is within one standard error, or a share, of the best one."""
-    difference, nearly = structure.scores - best.scores, share * float(best.scores.mean())
-    return float(difference.mean()) <= max(float(difference.std(ddof=1)) / math.sqrt(len(difference)), nearly)
+    difference = structure.scores - best.scores
+    difference = difference[~np.isnan(difference)]
+    deviation = float(difference.std(ddof=1)) if len(difference) > 1 else 0.0
+    return float(difference.mean()) <= max(deviation / math.sqrt(len(difference)), share * best.score)
 
 
 def _may_be_near(structure: Structure, best: Structure) -> bool:
@@ -449,7 +464,11 @@ def _may_be_near(structure: Structure, best: Structure) -> bool:
 
     The other folds may not show a term at all: what they leave of it is then its prior, whichever other terms are on.
     """
-    others = np.arange(len(best.scores)) != int(np.argmax(structure.scores - best.scores))
+    difference = structure.scores - best.scores
+    others = np.arange(len(difference)) != int(np.nanargmax(difference))
+    others &= ~np.isnan(difference)
+    if not others.any():
+        return is_near(structure, best, CLEARLY_WORSE)
     own, of_best = (replace(s, errors=s.errors[others]) for s in (structure, best))
     return is_near(structure, best, CLEARLY_WORSE) or is_near(own, of_best, CLEARLY_WORSE)
 

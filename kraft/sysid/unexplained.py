@@ -89,11 +89,14 @@ def _left(found: Sequence[Motion]) -> list[tuple[Floats, Floats, Floats]]:
         averaged = [_averaged(r) for r in residuals]
         usual = MAD * float(np.median(np.abs(np.concatenate(averaged))))
         scaled.append([a / max(DEVIATIONS * usual, least, 1e-9) for a in averaged])
+    return [(_larger(v, ahead), r, s) for v, r, s in zip(*scaled, strict=True)]
+
+
+def _larger(change: Floats, ahead: int) -> Floats:
+    """The larger of what is left of the changes (n - ahead,) that begin and that end at each sample (n,)."""
     pad = np.zeros(ahead)
-    return [
-        (np.maximum(np.abs(np.append(v, pad)), np.abs(np.append(pad, v))) * np.sign(np.append(pad, v)), r, s)
-        for v, r, s in zip(*scaled, strict=True)
-    ]
+    begun, ended = np.append(change, pad), np.append(pad, change)
+    return np.where(np.abs(begun) >= np.abs(ended), begun, ended)
 
 
 def _speed_terms(m: Motion, ahead: int) -> Matrix:

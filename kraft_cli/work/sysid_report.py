@@ -101,12 +101,13 @@ def model_table(trials: Sequence[ModelTrial]) -> Table:
     """Table of models that were compared, by their errors on logs that each was not fitted to."""
     if not trials:
         return (), []
-    heading = ("MODEL", "TERMS", *(f"{after:g} s" for after in trials[0].errors), "")
+    times = sorted({after for trial in trials for after in trial.errors})
+    heading = ("MODEL", "TERMS", *(f"{after:g} s" for after in times), "")
     return heading, [
         (
             f"{trial.model}{_changed(trial)}",
             str(len(trial.terms)),
-            *(_cell(error, 100, " cm") for error in trial.errors.values()),
+            *(_cell(trial.errors.get(after), 100, " cm") for after in times),
             "chosen" if trial.chosen else "",
         )
         for trial in trials

@@ -143,6 +143,8 @@ def test_a_wrong_sweep_is_refused(texts: list[str], codes: list[Code]) -> None:
         "1:30",
         ".5",
         "-",
+        "é",
+        "😀",
         [1, [2.5, "x"]],
         {"a": {"b": [False]}},
     ],

@@ -92,6 +92,19 @@ def test_every_file_of_a_bag_is_hashed(tmp_path: Path) -> None:
     assert [Path(source.file).name for source in log.sources] == ["drive.mcap", "metadata.yaml"]
 
 
+def test_joints_are_read_by_their_names_in_any_order(tmp_path: Path) -> None:
+    with Bag(tmp_path / "a.bag", "bag") as bag:
+        for k, (time, (speed, steering)) in enumerate(zip(MADE.command_times, MADE.commands, strict=True)):
+            given = {"throttle": speed, "steering": steering, "lamp": 1.0}
+            names = ("throttle", "steering") if k < 5 else tuple(given)[:: 1 if k % 2 else -1]
+            bag.joints("/joints", nanoseconds(time), {name: given[name] for name in names})
+        for time, pose in zip(MADE.pose_times, MADE.poses, strict=True):
+            bag.odometry("/odom", nanoseconds(time), *pose)
+    log = read_one(tmp_path / "a.bag")
+    assert log.controls == ("throttle", "steering")
+    same_drive(log)
+
+
 def test_the_time_of_the_sender_counts_and_not_that_of_the_recorder(tmp_path: Path) -> None:
     jitter = np.random.default_rng(0).integers(0, 30_000_000, len(MADE.pose_times))
     with Bag(tmp_path / "a.bag", "bag") as bag:

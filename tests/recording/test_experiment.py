@@ -14,7 +14,16 @@ from kraft.driving.vehicle_model import model_of
 from kraft.errors import Code, InputError, NegativeResult
 from kraft.logs.log import Log, Part
 from kraft.recording import experiment
-from kraft.recording.experiment import Area, PlannedDrive, extent, library, planned_drives
+from kraft.recording.experiment import (
+    Area,
+    Element,
+    PlannedDrive,
+    extent,
+    in_words,
+    library,
+    planned_drives,
+    sampled,
+)
 from kraft.recording.manoeuvres import (
     COASTING,
     DURATION,
@@ -129,8 +138,17 @@ def test_a_planned_drive_begins_at_rest_coasts_at_the_end_and_keeps_bounds_and_a
         assert (commands.controls >= [0.0, -0.38]).all()
         assert (commands.controls <= [1.0, 0.38]).all()
         assert HALL.holds(drive.path)
-        assert drive.words[-1].endswith(f"for {COASTING:g} s")
+        throttle, steering = commands.controls[-1] + 0.0
+        assert drive.words[-1] == f"throttle {throttle:.2g}, steering {steering:.2g} for {COASTING:g} s"
         assert set(drive.shown) <= set(drive.after)
+
+
+def test_after_a_sine_the_words_hold_the_steering_that_is_commanded() -> None:
+    sine = Element(2.0, (0.6, 1.0), (0.6, -1.0), 1.0)
+    words = in_words((sine,), model_of(load_vehicle("mushr-lag")))
+    *_, (_, _, turn) = sampled(sine)
+    assert abs(turn) < 0.5
+    assert words[-1] == f"throttle 0, steering {0.38 * turn:.2g} for {COASTING:g} s"
 
 
 def test_each_planned_drive_reduces_what_the_one_before_left(planned: list[PlannedDrive]) -> None:

@@ -147,6 +147,11 @@ class Bag:
         ]
         self.send(topic, "geometry_msgs/msg/Twist", stamp, self.make("geometry_msgs/msg/Twist", *vectors))
 
+    def joints(self, topic: str, stamp: int, positions: Mapping[str, float]) -> None:
+        names, values, none = list(positions), np.array(list(positions.values())), np.zeros(0)
+        kind = "sensor_msgs/msg/JointState"
+        self.send(topic, kind, stamp, self.make(kind, self.header(stamp), names, values, none, none))
+
     def boolean(self, topic: str, stamp: int, value: bool) -> None:
         self.send(topic, "std_msgs/msg/Bool", stamp, self.make("std_msgs/msg/Bool", value))
 

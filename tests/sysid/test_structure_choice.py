@@ -50,6 +50,17 @@ def test_the_simplest_is_taken_that_is_hardly_worse(path: list[tuple[str, float]
     assert chosen(structures) is structures[taken]
 
 
+def test_a_fold_that_is_too_short_to_be_predicted_does_not_count() -> None:
+    best, simpler, worse = structure("drag slip", 1.0), structure("slip", 1.03), structure("", 1.3)
+    for each in (best, simpler, worse):
+        each.errors[-1], each.errors[0, 2] = np.nan, np.nan
+    assert chosen([best, simpler, worse]) is simpler
+    assert simpler.score == pytest.approx(1.03)
+    single = [replace(each, errors=each.errors[-2:]) for each in (best, simpler, worse)]
+    assert chosen(single) is single[1]
+    assert not StructureSearch._too_few(single)
+
+
 def test_what_the_folds_do_not_show_is_not_worse() -> None:
     best, simpler = structure("drag slip", 1.0), structure("slip", 1.1, spread=0.6)
     assert chosen([best, simpler]) is simpler

@@ -162,6 +162,15 @@ def test_stretches_that_no_model_explains_are_found_with_their_times() -> None:
         assert covered > 0.7  # of 2 s; a glitch comes and goes slowly
 
 
+def test_a_car_that_is_held_is_slower_than_commanded_and_then_faster() -> None:
+    held = [s for s in unexplained_stretches(disturbances()) if s.log.startswith("held")]
+    assert held[0].what == "slower than commanded"
+    early = drive("early", "mushr-lag", 7, (Disturbance("held", 0.0, 2.5),), seconds=24.0)
+    found = unexplained_stretches((early, *disturbances()[5:]))
+    assert found[0].log == "early"
+    assert found[0].begin < 0.5
+
+
 def test_nothing_is_left_out_of_good_logs() -> None:
     assert unexplained_stretches(logs()) == ()
     assert without(logs(), ()) == logs()

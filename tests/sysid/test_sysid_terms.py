@@ -264,6 +264,28 @@ def test_a_variation_names_a_parameter_of_the_model_and_is_not_negative() -> Non
     assert sorted(found.file for found in refused.value.diagnostics) == ["variation", "variation"]
 
 
+def test_no_logs_are_no_car() -> None:
+    with pytest.raises(InputError) as refused:
+        identify_car([])
+    assert [found.problem for found in refused.value.diagnostics] == ["there are none"]
+
+
+@pytest.mark.parametrize("seconds", [0.9, 1.4])
+def test_a_log_that_is_too_short_to_be_predicted_still_counts(seconds: float) -> None:
+    logs = [drive(car(), seed, seconds=8.0) for seed in range(3)]
+    found = identify_terms(car_file(), [*logs, drive(car(), 3, seconds=seconds)]).identification
+    assert len(found.logs) == 4
+    assert found.values["steer"] / found.values["L"] == pytest.approx(TRUTH["steer"] / TRUTH["L"], rel=0.05)
+
+
+def test_times_that_no_window_reaches_have_no_errors() -> None:
+    found = identify_terms(car_file(), [drive(car(), seed, seconds=2.6) for seed in range(6)]).identification
+    assert sorted(found.trials[0].errors) == [1.0, 2.0]
+    assert all(np.isfinite(list(trial.errors.values())).all() for trial in found.trials)
+    with pytest.raises(InputError, match="a third of the horizon"):
+        identify_terms(car_file(), [drive(car(), seed, seconds=2.6) for seed in range(6)], Settings(horizon=12.0))
+
+
 def test_flipped_steering_is_a_negative_gain() -> None:
     model = car()
     logs = [drive(model, seed) for seed in range(5)]
