@@ -136,7 +136,8 @@ def identify_terms(
         logs: of `kraft.logs.reader.read_logs`.
         settings: None for the defaults.
         on_iteration: called after each iteration with the number of iterations and the cost.
-        simpler: a model with fewer states, which is chosen with the same terms if it predicts as well.
+        simpler: a model with fewer states, which is chosen with the same terms if it predicts as well, and with its own
+            if it predicts better: the other one may have lags that the vehicle lacks.
 
     Raises:
         InputError: if the logs cannot be used, or a control never changes in them.
@@ -150,13 +151,7 @@ def identify_terms(
     held = _shown_by_both_sides(vehicle, steered)
     settings = replace(settings, frozen=(*settings.frozen, *held))
     search = StructureSearch(vehicle, usable, settings, on_iteration)
-    path = search.path()
-    simplest = search.converged(chosen(path))
-    best = search.completed(simplest, path)
-    best = search.pruned(best) if search.is_exact(best) else best
-    best, final = search.in_long_windows(best, path)
-    trials = [simplest if s.terms == simplest.terms else s for s in path]
-    trials += [] if best is simplest else [best]
+    best, final, path, trials = _searched(search)
     if simpler is not None and steered.changes:
         other = StructureSearch(simpler, usable, settings, on_iteration)
         other.growth = search.growth
@@ -165,11 +160,30 @@ def identify_terms(
         trials.append(alike)
         if set(best.terms) <= set(alike.terms) and is_near(alike, best_of(path), NEGLIGIBLE):
             vehicle, best = simpler, alike
+        elif not is_near(best, alike, NEGLIGIBLE):
+            own = StructureSearch(simpler, usable, settings, on_iteration)
+            own.iterations = final.iterations
+            vehicle, trials = simpler, trials[:-1]
+            best, final, _, more = _searched(own)
+            trials += more
     identification = _identified(best, final, usable, settings)
     rows = tuple(_trial(s, chosen=s is best, horizon=settings.horizon) for s in trials)
     notes = [f"not identified, because only turns to both sides show them: {', '.join(held)}"] if held else []
     notes += _wheelbase_note(identification, settings)
     return ModelChoice(vehicle, replace(identification, trials=rows, notes=(*identification.notes, *notes)))
+
+
+def _searched(
+    search: StructureSearch,
+) -> tuple[Structure, StructureSearch, list[Structure], list[Structure]]:
+    """The chosen structure with the search that fitted it last, the path to few terms, and all structures to report."""
+    path = search.path()
+    simplest = search.converged(chosen(path))
+    best = search.completed(simplest, path)
+    best = search.pruned(best) if search.is_exact(best) else best
+    best, final = search.in_long_windows(best, path)
+    trials = [simplest if s.terms == simplest.terms else s for s in path]
+    return best, final, path, trials + ([] if best is simplest else [best])
 
 
 def _wheelbase_note(identification: Identification, settings: Settings) -> list[str]:

@@ -20,10 +20,9 @@ from kraft.planning.workspace import start_state
 from kraft.scenario import Task, parse_scenario
 from kraft.text import counted, suggestion
 from kraft.vehicles.load import load_vehicle
-from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from kraft.worlds import layouts
 from kraft.worlds.layouts import WALL, Obstacle, track
-from kraft.worlds.world import SENSING, World, Written, above, check_new, write_worlds
+from kraft.worlds.world import SENSING, World, Written, above, check_new, reference_of, write_worlds
 from ompl_ext.motion import motion_of
 from ompl_ext.vehicle import Footprint, Vehicle
 
@@ -200,7 +199,7 @@ def generate_worlds(
     problems = Problems()
     problems.found += [*out_of_range("count", count, 1, COUNT_MAX), *out_of_range("seed", seed, 0)]
     problems.found += _layout_problems(kind, density)
-    reference = None if vehicle is None else problems.of(lambda: _reference(vehicle))
+    reference = None if vehicle is None else problems.of(lambda: reference_of(vehicle))
     problems.of(lambda: check_new(out))
     problems.check()
     worlds = [generate(each, number, reference, density) for each, number in _numbered(kind, seed, count)]
@@ -226,14 +225,6 @@ def _numbered(kind: str, seed: int, count: int) -> Iterator[tuple[str, int]]:
     """Kind and seed of each world; of mixed ones the seed alone decides the kind."""
     for number in range(seed, seed + count):
         yield (KINDS[number % len(KINDS)] if kind == MIXED else kind), number
-
-
-def _reference(vehicle: str) -> str:
-    """Reference of a vehicle that holds in any folder."""
-    try:
-        return resolve_vehicle(vehicle, Path.cwd())
-    except VehicleProblem as error:
-        raise InputError.of_argument("vehicle", error.problem, error.expected, error.code) from None
 
 
 def generate(kind: str, seed: int, vehicle: str | None = None, density: float | None = None) -> World:

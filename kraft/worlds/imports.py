@@ -9,7 +9,7 @@ import math
 import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -17,7 +17,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import Field
 
-from kraft.config.schema import Coordinate, Length, StrictModel, check
+from kraft.config.schema import LENGTH_MIN, Coordinate, Length, StrictModel, check
 from kraft.config.yaml_reader import Document, Place, Source, read_document
 from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.scenario import OccupancyMap
@@ -34,8 +34,10 @@ from kraft.worlds.world import (
     above,
     check_new,
     plain_name,
+    reference_of,
     write_worlds,
 )
+from ompl_ext.arrays import Matrix
 
 KINDS: Final = ("barn", "dynobench", "map")
 ROBOT, CAR = "jackal", "mushr"
@@ -91,6 +93,8 @@ def read_sources(request: Request) -> list[Imported]:
     problems = Problems()
     problems.found += _argument_problems(request)
     problems.of(lambda: check_new(request.out))
+    if (vehicle := request.vehicle) is not None:
+        request = replace(request, vehicle=problems.of(lambda: reference_of(vehicle)))
     found = [problems.of(partial(_read, request, path)) for path in _files(request, problems.found)]
     problems.check()
     return [each for each in found if each is not None]
@@ -165,14 +169,19 @@ def read_occupancy(path: Path, out: Path, vehicle: str, start: Start, goal: Goal
     Raises:
         InputError: with every problem of the map.
     """
-    (low_x, high_x), (low_y, high_y) = _extent(read_map(path, height=0.2, name=None))
+    corners = _corners(read_map(path, height=0.2, name=None))
+    (low_x, low_y), (high_x, high_y) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
     bounds = {"x": [low_x, high_x], "y": [low_y, high_y]}
+    outside = [{"name": f"outside the map {k}", "polygon": {"vertices": each}} for k, each in _outside(corners)]
     world = World(
         name=plain_name(path.stem),
         remark=f"From the occupancy map {path.name}.",
         content={
             "bounds": bounds,
-            "obstacles": [{"name": "map", "map": {"file": os.path.relpath(path.absolute(), out.absolute())}}],
+            "obstacles": [
+                {"name": "map", "map": {"file": os.path.relpath(path.absolute(), out.absolute())}},
+                *outside,
+            ],
             "start": {"x": start[0], "y": start[1], "heading_deg": start[2]},
             "goal": {"center": list(goal[:2]), "radius": goal[2]},
             "vehicle": vehicle,
@@ -188,15 +197,26 @@ def read_occupancy(path: Path, out: Path, vehicle: str, start: Start, goal: Goal
     return Imported(world, Counter())
 
 
-def _extent(occupancy: OccupancyMap) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Lowest and highest x and y of a map, m."""
+def _corners(occupancy: OccupancyMap) -> Matrix:
+    """Corners (4, 2) of a map, anticlockwise, m."""
     x, y, yaw = occupancy.origin
     rows, columns = occupancy.occupied.shape
-    corners = np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]]) * occupancy.resolution
+    corners = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]]) * occupancy.resolution
     turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-    placed = np.round(corners @ turn.T + (x, y), 6)
-    (low_x, low_y), (high_x, high_y) = placed.min(axis=0).tolist(), placed.max(axis=0).tolist()
-    return (low_x, high_x), (low_y, high_y)
+    placed: Matrix = np.round(corners @ turn.T + (x, y), 6)
+    return placed
+
+
+def _outside(corners: Matrix) -> Iterator[tuple[int, list[list[float]]]]:
+    """Triangles between a turned map and its bounds, numbered from 1: nothing is known there."""
+    number = 0
+    for one, other in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        along = other - one
+        if np.abs(along).min() < LENGTH_MIN:  # the edge is on the bounds
+            continue
+        right = np.array([one[0], other[1]]) if along[0] * along[1] < 0.0 else np.array([other[0], one[1]])
+        number += 1
+        yield number, [one.tolist(), right.tolist(), other.tolist()]
 
 
 VEHICLES: Final = {

@@ -16,6 +16,7 @@ from kraft.files import check_writable, new_folder
 from kraft.planning.feasibility import check_placement, check_reachable
 from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario import Scenario, parse_scenario
+from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 
 SUITE: Final = "suite.yaml"
 SENSING: Final = {"preset": "planar", "rate_hz": 50}
@@ -88,6 +89,18 @@ def above(bounds: Mapping[str, Sequence[float]]) -> list[float]:
     """Place of a camera above the middle of the bounds, m."""
     (x0, x1), (y0, y1) = bounds["x"], bounds["y"]
     return [round((x0 + x1) / 2, 3), round((y0 + y1) / 2, 3), HEIGHT]
+
+
+def reference_of(vehicle: str) -> str:
+    """Reference of a vehicle that holds in any folder; a path is relative to the working directory.
+
+    Raises:
+        InputError: if there is no such vehicle.
+    """
+    try:
+        return resolve_vehicle(vehicle, Path.cwd())
+    except VehicleProblem as error:
+        raise InputError.of_argument("vehicle", error.problem, error.expected, error.code) from None
 
 
 def plain_name(text: str) -> str:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import gzip
 import json
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.paths import ROOT
 
 from kraft.errors import Code, InputError, Unreachable
 from kraft.evaluation.suite import load_suite
-from kraft.scenario import Box, Circle, load_scenario
+from kraft.scenario import Box, Circle, Polygon, load_scenario
 from kraft.worlds.imports import OTHERS, Request, import_worlds
 from kraft_cli.main import main
 
@@ -223,6 +225,37 @@ def test_a_map_stays_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert sorted(path.name for path in out.iterdir()) == ["floor.yaml", "suite.yaml"]
     assert main(["import", "map", str(source), "--start", "2,4,0", "--goal", "6,4", "--out", str(out)]) == 2
     assert "--out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("yaw", [0.6, -0.6, 2.0, math.pi / 2, 3.5])
+def test_what_is_outside_of_a_turned_map_is_not_free(tmp_path: Path, yaw: float) -> None:
+    source = map_file(tmp_path)
+    source.write_text(source.read_text().replace("0.0]", f"{yaw}]"))
+    turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+    start, goal = ((turn @ place + (1.0, 2.0)).tolist() for place in ((1.0, 2.0), (5.0, 2.0)))
+    request = Request("map", (source,), tmp_path / "out", (*start, math.degrees(yaw)), (*goal, 0.25))
+    (written,) = import_worlds(request).written.scenarios
+    scene = load_scenario(written)
+    (x0, x1), (y0, y1) = scene.bounds.x, scene.bounds.y
+    triangles = [np.array(each.vertices) for each in scene.obstacles if isinstance(each, Polygon)]
+    assert len(triangles) == (0 if yaw == math.pi / 2 else 4)
+    sides = [each[1:] - each[0] for each in triangles]
+    outside = sum(0.5 * abs(np.linalg.det(each)) for each in sides)
+    assert (x1 - x0) * (y1 - y0) - outside == pytest.approx(6.0 * 4.0, abs=1e-4)
+
+
+def test_a_vehicle_file_is_relative_to_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(ROOT / "configs" / "vehicles" / "mushr-lag.yaml", "own.yaml")
+    source = map_file(tmp_path)
+    arguments = ["import", "map", str(source), "--start", "2,4,0", "--goal", "6,4", "--vehicle"]
+    assert main([*arguments, "own.yaml", "--out", "deep/out"]) == 0
+    assert load_scenario(tmp_path / "deep" / "out" / "floor.yaml").vehicle == str(tmp_path / "own.yaml")
+    capsys.readouterr()
+    assert main([*arguments, "none.yaml", "--out", "other"]) == 2
+    assert capsys.readouterr().err.startswith("--vehicle: there is no file")
 
 
 @pytest.mark.parametrize(
