@@ -6,6 +6,7 @@ import math
 import time as clock
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -31,6 +32,9 @@ from ompl_ext.query_tree import Progress
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 from ompl_ext.verification import Requirement, Verification, verify
+
+FINE_EXCESS: Final = 0.05
+"""Excess of the discs that cover the footprint of a vehicle that starts near obstacles, as a share of its width."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +117,10 @@ def plan_task(
     workspace, safety, settings = workspace_of(task, vehicle), safety_of_task(task), settings_of(task, vehicle)
     dirt = DirtSolver(vehicle, workspace, goal_of(task), safety, settings, threads=threads)
     spare = dirt.start(state, seed)
+    if spare < 0.0 and settings.excess == 0.0 and _distance(dirt, state) > 0.0:  # free, but too near for few discs
+        settings = replace(settings, excess=FINE_EXCESS)
+        dirt = DirtSolver(vehicle, workspace, goal_of(task), safety, settings, threads=threads)
+        spare = dirt.start(state, seed)
     setup_seconds = clock.perf_counter() - began
     budget = budget or budget_of(task)
     reason = _infeasible_start(dirt, state, spare)
@@ -203,14 +211,22 @@ def _accepted(found: SearchResult, verification: Verification | None, seed: int)
     return None, f"the planner's plan was refused: {problems}"
 
 
+def _distance(dirt: DirtSolver, state: Floats) -> float:
+    """Distance of the footprint from obstacles in a state (nx,), m."""
+    x, y = (float(state[dirt.vehicle.index(name)]) for name in ("x", "y"))
+    return dirt.exact.distance(x, y, heading_of(state, dirt.vehicle))
+
+
 def _infeasible_start(dirt: DirtSolver, state: Floats, spare: float) -> str:
     """Reason why no plan from this start exists, whatever the budget; empty if one may exist."""
     x, y = (float(state[dirt.vehicle.index(name)]) for name in ("x", "y"))
     if not reachable(dirt.problem, x, y):
         return UNREACHABLE
     if spare < 0.0:
-        exact = dirt.exact.distance(x, y, heading_of(state, dirt.vehicle))
-        return f"the start is too near to an obstacle: {exact:.4f} m, which is less than the clearance grid resolves"
+        return (
+            f"the start is too near to an obstacle: {_distance(dirt, state):.4f} m, less than the discs that cover the "
+            "footprint and the grid of clearances resolve"
+        )
     _, beyond_delta = dirt.edge(state, np.zeros(len(dirt.vehicle.controls)), 0.0, 0.0)
     if beyond_delta < 0.0:
         return f"the start lacks {-beyond_delta:.3f} m of the clearance delta that its first cycle requires"

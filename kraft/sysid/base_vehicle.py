@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kraft.config import bundled
 from kraft.config.yaml_reader import Source
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.interface import Identification
@@ -121,7 +122,9 @@ def with_recorded(base: BaseVehicle, logs: Sequence[Log]) -> tuple[BaseVehicle, 
     """
     stated = [_recorded(Path(log.sources[0].file).parent / MANIFEST) if log.sources else None for log in logs]
     known = next((vehicle for vehicle in stated if vehicle is not None), None)
-    if known is None or RecordedVehicle.of(base.vehicle, natural_robot(base.vehicle)[0]).located().truth == known.truth:
+    if known is None:
+        return base, _unstated(base) if base.reference in bundled.names("vehicle") else ""
+    if RecordedVehicle.of(base.vehicle, natural_robot(base.vehicle)[0]).located().truth == known.truth:
         return base, ""
     if any(vehicle != known for vehicle in stated):
         names = ", ".join(dict.fromkeys(vehicle.name if vehicle else "not stated" for vehicle in stated))
@@ -131,6 +134,15 @@ def with_recorded(base: BaseVehicle, logs: Sequence[Log]) -> tuple[BaseVehicle, 
         return base, f"nothing is taken over from the recorded {known.name}: {missing[0].problem}"
     taken = ["footprint", *(["delay"] if known.delay else []), *(["true robot"] if known.truth else [])]
     return replace(base, recorded=known), f"taken over from the recorded {known.name}: {', '.join(taken)}"
+
+
+def _unstated(base: BaseVehicle) -> str:
+    """What to say where a bundled vehicle lends the written one what no log states."""
+    shape = base.vehicle.footprint
+    return (
+        f"no log states which vehicle drove: the footprint of the written one, {shape.length:g} x {shape.width:g} m, "
+        f"and its true robot are those of {base.name}; state yours in the file"
+    )
 
 
 def _recorded(manifest: Path) -> RecordedVehicle | None:

@@ -369,12 +369,16 @@ def with_units(logs: Sequence[Log], units: Mapping[str, CommandUnit]) -> tuple[L
 
 def unit_notes(units: Mapping[str, CommandUnit]) -> tuple[str, ...]:
     """What was found of commands that were converted, and how a mapping file states it."""
-    return tuple(
+    notes = tuple(
         f"{name}: {unit.neutral:g} is neutral, {abs(1.0 / unit.scale):.4g} {FULL[name]}; in a mapping file: "
         f"commands.controls.{name}: {{column: ..., zero: {unit.neutral:g}, scale: {unit.scale:g}}}"
         for name, unit in units.items()
         if not unit.as_is
     )
+    if units.get("steering", CommandUnit()).as_is:
+        return notes
+    ratio = "poses show only the ratio of the scale of the steering to the wheelbase L"
+    return (*notes, f"{ratio}: both are those of a car with about {WHEELBASE:g} m; state the scale if you know it")
 
 
 def sign_warnings(units: Mapping[str, CommandUnit]) -> tuple[str, ...]:

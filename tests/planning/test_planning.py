@@ -21,7 +21,7 @@ from kraft.scenario import Task, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import specialise
-from ompl_ext.vehicle import Vehicle
+from ompl_ext.vehicle import Footprint, Vehicle
 from ompl_ext.verification import Requirement, Verification, Violation
 
 SCENE = """name: room
@@ -190,11 +190,20 @@ WALL = ("size: [1, 1]", "size: [0.5, 4]")
 NEAR = ("x: 0.5, y: 0.5, heading_deg: 0", "x: 1.2975, y: 2.0, heading_deg: 0")
 
 
+def test_a_long_vehicle_starts_as_near_to_a_wall_as_it_stands(mushr: Vehicle) -> None:
+    """Few discs over a long footprint exceed its ends by a quarter of its width."""
+    truck = dataclasses.replace(mushr, footprint=Footprint(0.9, 0.35, 0.1))
+    result = plan_task(room(("x: 0.5, y: 0.5", "x: 0.41, y: 0.5"), ("center: [3, 3]", "center: [3, 0.9]")), truck, FEW)
+    assert result.solved
+    assert result.verification is not None
+    assert 0.0 < result.verification.min_clearance < 0.07
+
+
 @pytest.mark.parametrize(
     ("task", "reason"),
     [
         (lambda: room(WALL), "the goal is unreachable: no path from the start is wide enough for the footprint"),
-        (lambda: room(NEAR), "the start is too near to an obstacle: 0.0025 m, which is less than"),
+        (lambda: room(NEAR), "the start is too near to an obstacle: 0.0025 m, less than the discs"),
         (
             lambda: dataclasses.replace(
                 room(),

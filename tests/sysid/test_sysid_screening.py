@@ -86,6 +86,7 @@ def test_pulse_widths_are_told_as_a_mapping_file_states_them() -> None:
     units = command_units(commanded(logs(), throttle, steering))
     assert (units["throttle"].neutral, units["steering"].neutral) == (1500.0, 1500.0)
     assert "commands.controls.steering: {column: ..., zero: 1500, scale: -0.00" in unit_notes(units)[1]
+    assert "ratio of the scale of the steering to the wheelbase L" in unit_notes(units)[2]
 
 
 def test_physical_commands_stay_as_they_are() -> None:
