@@ -300,9 +300,9 @@ class Replanner:
         if plan is None:
             return self._choose_contingency(root, cycle_start, current, self._proposal.reason)
         if self._number > 0 and estimate.age > self._settings.patience:
-            return self._choose_contingency(
-                root, cycle_start, current, f"the newest observation is {estimate.age:.2f} s old"
-            )
+            old = math.isfinite(estimate.age)
+            reason = f"the newest observation is {estimate.age:.2f} s old" if old else "no observation has arrived"
+            return self._choose_contingency(root, cycle_start, current, reason)
         cycle_end = cycle_start + self._settings.cycle
         followed = self._settings.cycle if self._switches else 0.0  # else the law drives on to the end of the plan
         reference = plan_reference(self.dirt.vehicle, plan, cycle_start, followed)

@@ -20,7 +20,7 @@ from kraft.planning.feasibility import check_placement
 from kraft.planning.search import check_seed
 from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario import Scenario, load_scenario
-from kraft.text import finite
+from kraft.text import counted, finite
 from kraft.trial.measures import Measures, Record, Step, farthest_point
 from kraft.vehicles import is_car
 from kraft.vehicles.load import load_vehicle, natural_robot
@@ -351,7 +351,8 @@ def timeout_cause(
     track = np.array([step.pose[:2] for step in steps if step.time >= since])
     extent = float(np.hypot(*np.ptp(track, axis=0)))
     if extent < STANDS:
-        text = f"moved {extent:.2f} m in the last {end - max(since, 0.0):.0f} s, with plans in {len(late)} cycles"
+        planned = counted(len(late), "cycle")
+        text = f"moved {extent:.2f} m in the last {end - max(since, 0.0):.2g} s, with plans in {planned}"
         return Cause(kind=CauseKind.STUCK, text=text)
     left = late[-1].cost_to_goal
     text = f"the last plan needed {left:.1f} s more" if np.isfinite(left) else "still driving at the end"

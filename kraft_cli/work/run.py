@@ -18,6 +18,7 @@ from kraft.evaluation.statistics import percentile, while_driving
 from kraft.evaluation.summary import measures_json
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
+from kraft.simulation.camera import beyond_measured
 from kraft.text import counted, finite, metres
 from kraft.trial.measures import Measures
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
@@ -74,6 +75,8 @@ def run_scenario(
     assert experiment is not None, "every problem was raised"
     cell = experiment.cells[0]
     _log_details(detail, cell)
+    if far := beyond_measured(cell.scenario):
+        report(f"warning: {far}")
     timer.report("loaded and checked")
     steps, heading = needs_steps(cell.method, cell.vehicle), cell.scenario.goal.heading is not None
     ensure_compiled(
