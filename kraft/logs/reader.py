@@ -46,7 +46,7 @@ def read_logs(
         paths: files and folders, see ``docs/logs.md`` for what they may hold.
         controls: names of the vehicle's controls.
         mapping: a mapping file (`load_mapping`), where the names of the columns are not sufficient.
-        any_command_unit: whether commands may be in any unit, as `kraft.sysid.screening` finds it; otherwise a
+        any_command_unit: whether commands may be in any unit, as `kraft.sysid.command_units` finds it; otherwise a
             steering command without a stated unit is in radians, and pulse widths are refused.
 
     Raises:

@@ -1,37 +1,25 @@
 """Screening of logs before an identification: what commands and motion of a car say of each other without a model.
 
-The motion of all logs is put on equal time steps.  Regressions of the yaw rate on speed and steering, and of the change
-of the speed on throttle and speed, are enough to see that commands and poses do not belong together (an offset of their
-clocks, swapped columns, two cars), and in which units the commands are: their neutral value, sign and scale.
-
-Pulse widths, duty, degrees and [-1, 1] are all converted to shares of the full throttle, forward positive, and to a
-wheel angle, left positive.  Commands that already are such are left as they are.  The scale of the steering is that of
-a car of a given wheelbase: poses show the ratio of the two alone.
+Regressions of the yaw rate on speed and steering, and of the change of the speed on throttle and speed, are enough to
+see that commands and poses do not belong together: an offset of their clocks, swapped columns, two cars.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.sysid.smoothing import smoothed, thinned
+from kraft.sysid.log_motion import SPAN, STEP, Motion, motions, sums_of
 from ompl_ext.arrays import Bools, Floats, Matrix
 
 if TYPE_CHECKING:
-    from kraft.logs.log import Log, Part
+    from kraft.logs.log import Log
 
 
-STEP: Final = 0.05
-"""Time between two samples, s."""
-POSE_INTERVAL: Final = 0.03
-"""Least time between two poses of the parabolas that give speed and yaw rate, s."""
-SPAN: Final = 0.3
-"""Time over which the change of the speed is explained, s."""
 FINE_DELAYS: Final = tuple(0.01 * k for k in range(-10, 11))
 """Delays at which the response to the steering is sought, s."""
 EXPLAINED_MAX: Final = 0.5
@@ -66,51 +54,6 @@ RIDGE: Final = 1e-6
 """Share of the information that is added, so that a command that never changes has no effect."""
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """Motion and commands of one part on equal time steps, n samples."""
-
-    log: int
-    times: Floats
-    """(n,) s, as in the log"""
-    speed: Floats
-    """(n,) along the car, m/s"""
-    side: Floats
-    """(n,) to its left, m/s"""
-    rate: Floats
-    """(n,) of the yaw, rad/s"""
-    part: Part
-
-    def commands(self, delay: float = 0.0) -> Matrix:
-        """Commands (n, 2), throttle and steering, from `delay` s before each sample."""
-        at = np.searchsorted(self.part.command_times, self.times - delay, side="right") - 1
-        found: Matrix = self.part.commands[np.maximum(at, 0)]
-        return found
-
-
-def motions(logs: Sequence[Log]) -> list[Motion]:
-    """Motion of all parts that last for a second or longer, commands in the order throttle, steering."""
-    found = []
-    for i, log in enumerate(logs):
-        columns = [log.controls.index(name) for name in ("throttle", "steering")]
-        for part in log.parts:
-            if part.duration >= 1.0 and len(part.pose_times) >= 10:
-                found.append(motion(i, part, columns))
-    return found
-
-
-def motion(log: int, part: Part, columns: Sequence[int]) -> Motion:
-    """Motion of one part; `columns` are those of throttle and steering."""
-    less = thinned(part, POSE_INTERVAL)
-    times = np.arange(part.pose_times[0], part.pose_times[-1], STEP)
-    poses, rates = smoothed(less.pose_times, less.poses, times)
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    ordered = replace(part, commands=part.commands[:, list(columns)])
-    return Motion(
-        log, times, rates[:, 0] * c + rates[:, 1] * s, rates[:, 1] * c - rates[:, 0] * s, rates[:, 2], ordered
-    )
-
-
 def yaw_error(found: Sequence[Motion], delay: float, *, swapped: bool = False) -> float:
     """Share of the yaw rate that speed and steering do not explain, with steering from `delay` s before."""
     control = 0 if swapped else 1
@@ -127,13 +70,6 @@ def speed_error(found: Sequence[Motion], delay: float, *, swapped: bool = False)
         changes.append(m.speed[count:] - m.speed[:-count])
     change = np.concatenate(changes)
     return _unexplained(np.concatenate(terms), change - np.mean(change))
-
-
-def sums_of(values: Floats, count: int) -> Floats:
-    """Sums (n - count,) of `count` successive values of n, beginning with each value in turn."""
-    total = np.concatenate([[0.0], np.cumsum(values[:-1])])
-    sums: Floats = total[count:] - total[:-count]
-    return sums
 
 
 def _unexplained(terms: Matrix, values: Floats) -> float:
@@ -312,146 +248,3 @@ def _two_groups(normal: _Normal) -> tuple[Bools, float]:
                 break
             first = own < other
     return best
-
-
-WHEELBASE: Final = 0.33
-"""Wheelbase that the scale of the steering is found with, m: that of a 1:10 car."""
-STEERING_RATIO_MAX: Final = 2.2
-"""Factor between the commanded and the found wheel angle up to which commands count as radians."""
-THROTTLE_MAX: Final = 1.6
-"""Largest throttle that counts as a share of the full one, or as a speed of a slow car in m/s."""
-OFFSET_MAX: Final = 0.6
-"""Offset of the steering over its largest deviation from there, up to which the wheels are merely off centre."""
-FULL: Final = {"throttle": "above it is the largest one in the logs", "steering": "above it is a radian"}
-OPPOSITE: Final = {"throttle": "backwards", "steering": "to the right"}
-REST_SPEED: Final = 0.05
-"""Share of the high speeds below which the car is at rest."""
-REST_SAMPLES_MIN: Final = 10
-REST_SHARE_MIN: Final = 0.3
-"""Least number of samples at rest, and least share of them that have the neutral throttle."""
-DELAY: Final = 0.15
-"""Delay of the response to a command, s, as far as neutral value and sign need it."""
-
-
-@dataclass(frozen=True)
-class CommandUnit:
-    """Meaning of the numbers of one command: (number - neutral) * scale is what models take."""
-
-    neutral: float = 0.0
-    scale: float = 1.0
-
-    @property
-    def as_is(self) -> bool:
-        """Whether the numbers are what models take."""
-        return self == CommandUnit()
-
-
-def command_units(logs: Sequence[Log]) -> dict[str, CommandUnit]:
-    """Meaning of throttle and steering in the logs of one car; as they are where the logs do not show another one."""
-    found = motions(logs)
-    if not found:
-        return {"throttle": CommandUnit(), "steering": CommandUnit()}
-    return {"throttle": _throttle(found), "steering": _steering(found)}
-
-
-def with_units(logs: Sequence[Log], units: Mapping[str, CommandUnit]) -> tuple[Log, ...]:
-    """The logs with their commands converted."""
-    if all(unit.as_is for unit in units.values()):
-        return tuple(logs)
-    converted = []
-    for log in logs:
-        neutral = np.array([units[name].neutral for name in log.controls])
-        scale = np.array([units[name].scale for name in log.controls])
-        parts = tuple(replace(part, commands=(part.commands - neutral) * scale) for part in log.parts)
-        converted.append(replace(log, parts=parts))
-    return tuple(converted)
-
-
-def unit_notes(units: Mapping[str, CommandUnit]) -> tuple[str, ...]:
-    """What was found of commands that were converted, and how a mapping file states it."""
-    notes = tuple(
-        f"{name}: {unit.neutral:g} is neutral, {abs(1.0 / unit.scale):.4g} {FULL[name]}; in a mapping file: "
-        f"commands.controls.{name}: {{column: ..., zero: {unit.neutral:g}, scale: {unit.scale:g}}}"
-        for name, unit in units.items()
-        if not unit.as_is
-    )
-    if units.get("steering", CommandUnit()).as_is:
-        return notes
-    ratio = "poses show only the ratio of the scale of the steering to the wheelbase L"
-    return (*notes, f"{ratio}: both are those of a car with about {WHEELBASE:g} m; state the scale if you know it")
-
-
-def sign_warnings(units: Mapping[str, CommandUnit]) -> tuple[str, ...]:
-    """Warnings of commands whose sign is flipped."""
-    return tuple(
-        f"{name} has the opposite sign: larger numbers are {OPPOSITE[name]}; the commands were negated"
-        for name, unit in units.items()
-        if unit.scale < 0.0
-    )
-
-
-def _throttle(found: Sequence[Motion]) -> CommandUnit:
-    values = np.concatenate([m.commands(DELAY)[:, 0] for m in found])
-    speed = np.concatenate([m.speed for m in found])
-    if np.ptp(values) <= 0.0:
-        return CommandUnit()
-    neutral = _throttle_at_rest(values, speed)
-    if neutral is None:
-        neutral = 0.0 if values.min() <= 0.0 <= values.max() or np.abs(values).max() <= THROTTLE_MAX else None
-    if neutral is None:  # the car never rests: where its speed would be 0
-        neutral = _rounded(_throttle_of_no_speed(found), values)
-    away = values - neutral
-    forward = float(np.sign(np.sum(away * speed))) or 1.0
-    largest = float(np.abs(away).max())
-    if neutral == 0.0 and forward > 0.0 and largest <= THROTTLE_MAX:
-        return CommandUnit()
-    return CommandUnit(neutral, float(f"{forward / largest:.4g}") if largest > THROTTLE_MAX or neutral else forward)
-
-
-def _throttle_of_no_speed(found: Sequence[Motion]) -> float:
-    """Throttle that would bring the car to rest, from the change of its speed with throttle and speed."""
-    count, terms, changes = round(SPAN / STEP), [], []
-    for m in found:
-        given = sums_of(m.commands()[:, 0], count)
-        terms.append(np.column_stack([np.ones(len(given)), given, m.speed[:-count]]))
-        changes.append(m.speed[count:] - m.speed[:-count])
-    table = np.concatenate(terms) / [1.0, count, 1.0]
-    level, slope, _ = np.linalg.lstsq(table, np.concatenate(changes), rcond=None)[0]
-    return float(-level / slope) if slope else float(np.mean(table[:, 1]))
-
-
-def _throttle_at_rest(values: Floats, speed: Floats) -> float | None:
-    """The usual throttle of a car at rest, None if it is hardly ever at rest."""
-    resting = np.abs(speed) < REST_SPEED * np.quantile(np.abs(speed), 0.95)
-    kinds, counts = np.unique(values[resting], return_counts=True)
-    if resting.sum() < REST_SAMPLES_MIN or counts.max() < REST_SHARE_MIN * counts.sum():
-        return None
-    if 0.0 in kinds and values.min() >= -THROTTLE_MAX and values.max() <= THROTTLE_MAX:
-        return 0.0
-    return float(kinds[np.argmax(counts)])
-
-
-def _steering(found: Sequence[Motion]) -> CommandUnit:
-    values = np.concatenate([m.commands(DELAY)[:, 1] for m in found])
-    speed = np.concatenate([m.speed for m in found])
-    rate = np.concatenate([m.rate for m in found])
-    if np.ptp(values) <= 0.0:
-        return CommandUnit()
-    middle, half = float(np.mean(values)), float(np.std(values))
-    level, slope = np.linalg.lstsq(np.column_stack([speed, speed * (values - middle) / half]), rate, rcond=None)[0]
-    if slope == 0.0:
-        return CommandUnit()
-    straight, per_unit = middle - half * level / slope, WHEELBASE * slope / half
-    away = float(np.abs(values - straight).max())
-    neutral = _rounded(straight, values) if abs(straight) > OFFSET_MAX * away else 0.0
-    radians = 1.0 / STEERING_RATIO_MAX <= per_unit <= STEERING_RATIO_MAX
-    if neutral == 0.0 and radians:
-        return CommandUnit()
-    flipped = -STEERING_RATIO_MAX <= per_unit <= -1.0 / STEERING_RATIO_MAX
-    return CommandUnit(neutral, -1.0 if neutral == 0.0 and flipped else float(f"{per_unit:.3g}"))
-
-
-def _rounded(neutral: float, values: Floats) -> float:
-    """The nearest round number, in steps of a tenth to a twentieth of the range of the values."""
-    step = 0.5 * 10.0 ** math.floor(math.log10(float(np.ptp(values)) / 2.0))
-    return step * round(neutral / step)

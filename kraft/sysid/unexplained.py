@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.sysid.screening import STEP, Motion, motions, sums_of
+from kraft.sysid.log_motion import STEP, Motion, motions, sums_of
 from kraft.sysid.smoothing import MAD
 from ompl_ext.arrays import Bools, Floats, Matrix
 

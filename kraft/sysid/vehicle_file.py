@@ -17,9 +17,9 @@ from kraft.files import check_writable, write_whole
 from kraft.provenance import IDENTIFICATION, versions
 from kraft.sysid.acceptance import PredictionEvaluation, errors_by_speed
 from kraft.sysid.base_vehicle import BaseVehicle
+from kraft.sysid.command_units import CommandUnit
 from kraft.sysid.data import LogSplit
 from kraft.sysid.interface import Identification, ParameterEstimate, PredictionErrors
-from kraft.sysid.screening import CommandUnit
 from kraft.text import counted
 from kraft.vehicles.config import Delay, Footprint, Parameter, VehicleConfig
 from kraft.vehicles.identification_record import (

@@ -25,12 +25,13 @@ from kraft.sysid.acceptance import (
 )
 from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle, with_recorded, with_recorded_commands
 from kraft.sysid.checks import SteeringInMotion
+from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
 from kraft.sysid.data import LogSplit, check_holdout, split_logs
 from kraft.sysid.factor_graph import ensure_compiled
 from kraft.sysid.identify import check_controls, has_terms, identify
 from kraft.sysid.interface import AuxiliarySelection, Identification, Noise, Settings
 from kraft.sysid.parameters import is_unknown_to_planning
-from kraft.sysid.screening import CommandUnit, check_consistency, command_units, sign_warnings, unit_notes, with_units
+from kraft.sysid.screening import check_consistency
 from kraft.sysid.selection import check_free_parameters, check_settings, excluded_for_planning
 from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
 from kraft.sysid.vehicle_file import check_vehicle_target, identification_record, write_vehicle

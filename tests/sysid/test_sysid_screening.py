@@ -14,7 +14,8 @@ from benchmarks.synthetic_logs import synthetic_logs
 from kraft.errors import Code, InputError
 from kraft.logs.log import Finding, Log
 from kraft.sysid import identify, prediction_errors
-from kraft.sysid.screening import CommandUnit, check_consistency, command_units, sign_warnings, unit_notes, with_units
+from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
+from kraft.sysid.screening import check_consistency
 from kraft.sysid.unexplained import unexplained_stretches, without
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 

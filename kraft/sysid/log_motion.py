@@ -1,0 +1,75 @@
+"""Motion and commands of the logs of a car on equal time steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from kraft.sysid.smoothing import smoothed, thinned
+from ompl_ext.arrays import Floats, Matrix
+
+if TYPE_CHECKING:
+    from kraft.logs.log import Log, Part
+
+
+STEP: Final = 0.05
+"""Time between two samples, s."""
+POSE_INTERVAL: Final = 0.03
+"""Least time between two poses of the parabolas that give speed and yaw rate, s."""
+SPAN: Final = 0.3
+"""Time over which the change of the speed is explained, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Motion and commands of one part on equal time steps, n samples."""
+
+    log: int
+    times: Floats
+    """(n,) s, as in the log"""
+    speed: Floats
+    """(n,) along the car, m/s"""
+    side: Floats
+    """(n,) to its left, m/s"""
+    rate: Floats
+    """(n,) of the yaw, rad/s"""
+    part: Part
+
+    def commands(self, delay: float = 0.0) -> Matrix:
+        """Commands (n, 2), throttle and steering, from `delay` s before each sample."""
+        at = np.searchsorted(self.part.command_times, self.times - delay, side="right") - 1
+        found: Matrix = self.part.commands[np.maximum(at, 0)]
+        return found
+
+
+def motions(logs: Sequence[Log]) -> list[Motion]:
+    """Motion of all parts that last for a second or longer, commands in the order throttle, steering."""
+    found = []
+    for i, log in enumerate(logs):
+        columns = [log.controls.index(name) for name in ("throttle", "steering")]
+        for part in log.parts:
+            if part.duration >= 1.0 and len(part.pose_times) >= 10:
+                found.append(motion(i, part, columns))
+    return found
+
+
+def motion(log: int, part: Part, columns: Sequence[int]) -> Motion:
+    """Motion of one part; `columns` are those of throttle and steering."""
+    less = thinned(part, POSE_INTERVAL)
+    times = np.arange(part.pose_times[0], part.pose_times[-1], STEP)
+    poses, rates = smoothed(less.pose_times, less.poses, times)
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    ordered = replace(part, commands=part.commands[:, list(columns)])
+    return Motion(
+        log, times, rates[:, 0] * c + rates[:, 1] * s, rates[:, 1] * c - rates[:, 0] * s, rates[:, 2], ordered
+    )
+
+
+def sums_of(values: Floats, count: int) -> Floats:
+    """Sums (n - count,) of `count` successive values of n, beginning with each value in turn."""
+    total = np.concatenate([[0.0], np.cumsum(values[:-1])])
+    sums: Floats = total[count:] - total[:-count]
+    return sums
