@@ -14,8 +14,8 @@ from benchmarks.effort import Effort
 from benchmarks.report import Report, Row, Target, row
 from benchmarks.synthetic_logs import FINE, CommandSeries, synthetic_logs
 from kraft.logs.log import Log
-from kraft.sysid.acceptance import identify_car
 from kraft.sysid.interface import Settings
+from kraft.sysid.model_choice import identify_car
 from kraft.sysid.optimiser import inverse
 from kraft.sysid.prediction import predict_windows, process_noise, window_errors
 from kraft.sysid.structure import Structure, StructureSearch

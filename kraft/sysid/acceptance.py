@@ -1,205 +1,38 @@
-"""Models judged by what they predict of logs: the choice of a car's model, and the acceptance of an identification.
-
-Known models and the car with terms are compared by their errors on logs that they were not fitted to.  An
-identification is accepted by open-loop prediction before and after it, and by objections to its parameters.
-"""
+"""Acceptance of an identification: open-loop prediction before and after it, and objections to its parameters."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.errors import Code, InputError, NegativeResult
-from kraft.sysid.base_vehicle import BaseVehicle, for_commands, load_base_vehicle, with_speed
-from kraft.sysid.checks import SteeringInMotion
-from kraft.sysid.data import LogSplit, usable_logs
-from kraft.sysid.identify import check_controls, identify, identify_terms
+from kraft.errors import InputError
+from kraft.sysid.data import LogSplit
 from kraft.sysid.interface import (
     CORRELATION_INDISTINGUISHABLE,
     Identification,
-    ModelTrial,
     PredictionErrors,
     Settings,
     correlations,
 )
-from kraft.sysid.optimiser import OnIteration, ignore_iteration
 from kraft.sysid.prediction import (
     HORIZONS,
     Window,
     constant_windows,
-    is_predictable,
     predict_windows,
     window_errors,
 )
-from kraft.sysid.smoothing import thinned
 from kraft.text import counted
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.identification_record import SpeedPrediction
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log
-
-
-CARS: Final = ("car-lag", "car")
-"""The car with terms, and the same with fewer states."""
-KNOWN: Final = ("mushr-drive", "mushr-lag")
-"""Models that are compared with it, the simplest last."""
-SCREENING_LOGS: Final = 2
-"""Least number of logs that a known model is first fitted to, and number of others that it then predicts."""
-SCREENING_TIME: Final = 60.0
-"""Least duration of the logs that it is first fitted to, s."""
-SCREENING_FACTOR: Final = 4.0
-"""Error of these predictions over that of the car with terms from which a known model is not fitted to all logs."""
-KNOWN_ITERATIONS: Final = 25
-"""Iterations within which a model converges on logs of a car that it describes."""
-
-
-@dataclass(frozen=True)
-class IdentifiedCar:
-    """The chosen model of a car with its parameters, and the models that it was chosen from."""
-
-    base: BaseVehicle
-    identification: Identification
-
-
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    model: IdentifiedCar
-    errors: Matrix
-    """(logs, horizons) of logs that it was not fitted to, m; NaN where a log is too short to predict"""
-
-    def score(self, logs: Sequence[int] | slice = slice(None)) -> float:
-        """Mean of the errors of some logs over their time, m/s; infinite if none of them was predicted."""
-        rates = self.errors[logs] / np.array(HORIZONS)
-        rates = rates[~np.isnan(rates).all(axis=1)]
-        return float(np.nanmean(rates, axis=1).mean()) if len(rates) else math.inf
-
-
-def models_of_cars() -> tuple[str, ...]:
-    """Names of all models that are compared."""
-    return (*CARS, *KNOWN)
-
-
-def identify_car(
-    logs: Sequence[Log], settings: Settings | None = None, on_iteration: OnIteration = ignore_iteration
-) -> IdentifiedCar:
-    """Identify a car with the model that predicts logs best that it was not fitted to.
-
-    Args:
-        logs: with the commands throttle and steering, in any unit, forward and left positive.
-        settings: None for the defaults.
-        on_iteration: called after each iteration with the number of iterations and the cost.
-
-    Raises:
-        InputError: if the logs cannot be used, or a command never changes in them.
-    """
-    settings = settings or Settings()
-    if not logs:
-        raise InputError.of("logs", "there are none", "expected at least one log with commands and poses", Code.MISSING)
-    check_controls(logs, SteeringInMotion.of(logs))
-    car = _with_terms(logs, settings, on_iteration)
-    judged, refused = [_judged(car, logs, settings)], []
-    for name in KNOWN:
-        screened = _screened(name, judged[0], logs, settings, on_iteration)
-        if screened is not None and screened.score() > SCREENING_FACTOR * judged[0].score(_tests(logs)):
-            refused.append(screened)
-        elif (known := _known(name, logs, settings, on_iteration)) is not None and known.identification.converged:
-            judged.append(_judged(known, logs, settings))
-    best = judged[0]
-    for other in judged[1:]:
-        if other.score() < best.score():
-            best = other
-    models = tuple(_trial(candidate, chosen=candidate is best) for candidate in (*judged, *refused))
-    return replace(best.model, identification=replace(best.model.identification, models=models))
-
-
-def _by_variety(logs: Sequence[Log]) -> list[int]:
-    """Indices of the logs, those first whose commands vary most: straight drives show nothing of the steering."""
-    joined = [np.concatenate([part.commands for part in log.parts]) for log in logs]
-    full = np.maximum(np.std(np.concatenate(joined), axis=0), 1e-9)
-    variety = [float(np.min(np.std(commands, axis=0) / full)) for commands in joined]
-    return sorted(range(len(logs)), key=lambda k: -variety[k])
-
-
-def _fits(logs: Sequence[Log]) -> list[int]:
-    """Indices of the logs that known models are first fitted to; none if they would be more than a third of all."""
-    order = _by_variety(logs)
-    time = np.cumsum([logs[k].duration for k in order])
-    count = max(SCREENING_LOGS, int(np.searchsorted(time, SCREENING_TIME)) + 1)
-    return order[:count] if 3 * count <= len(logs) else []
-
-
-def _tests(logs: Sequence[Log]) -> list[int]:
-    """Indices of the logs that they then predict."""
-    first = len(_fits(logs))
-    return _by_variety(logs)[first : first + SCREENING_LOGS]
-
-
-def _screened(
-    name: str, car: _Candidate, logs: Sequence[Log], settings: Settings, on_iteration: OnIteration
-) -> _Candidate | None:
-    """A known model fitted to few logs, and its errors on others; None if there are few, or if it does not fit."""
-    fitted = [logs[k] for k in _fits(logs)]
-    known = _known(name, fitted, settings, on_iteration) if fitted else None
-    if known is None or len(car.errors) != len(logs):
-        return None
-    identification = replace(known.identification, without_log=())
-    return _judged(replace(known, identification=identification), [logs[k] for k in _tests(logs)], settings)
-
-
-def _with_terms(logs: Sequence[Log], settings: Settings, on_iteration: OnIteration) -> IdentifiedCar:
-    """The car with the terms that the logs need, commands in the range of the logs."""
-    cars = [for_commands(load_base_vehicle(name), logs) for name in CARS]
-    definitions = [each.definition for each in cars if isinstance(each.definition, VehicleConfig)]
-    choice = identify_terms(definitions[0], logs, settings, on_iteration, definitions[1])
-    base = next(each for each in cars if each.definition is choice.vehicle)
-    return IdentifiedCar(with_speed(base, choice.identification, logs), choice.identification)
-
-
-def _known(name: str, logs: Sequence[Log], settings: Settings, on_iteration: OnIteration) -> IdentifiedCar | None:
-    """A known model, fitted; None if that is impossible, or if it has other parameters than the settings name."""
-    base = load_base_vehicle(name)
-    if not {*settings.values, *settings.frozen} <= set(base.vehicle.parameters):
-        return None
-    less = [replace(log, parts=tuple(thinned(part, settings.step) for part in log.parts)) for log in logs]
-    try:
-        found = identify(base.definition, less, replace(settings, iterations=KNOWN_ITERATIONS), on_iteration)
-    except (InputError, NegativeResult):  # a singular fit: the commands are not in this model's units
-        return None
-    return IdentifiedCar(base, found)
-
-
-def _judged(model: IdentifiedCar, logs: Sequence[Log], settings: Settings) -> _Candidate:
-    """Errors of each usable log, predicted with the parameters that the others give; NaN of one too short for that."""
-    identification = model.identification
-    settings = identification.predicting(settings)
-    values, usable = identification.without_log, usable_logs(model.base.vehicle, logs)
-    errors = []
-    for i, log in enumerate(usable):
-        own = values[i] if len(values) == len(usable) else identification.values
-        found: Mapping[float, float] = {}
-        if is_predictable(log, settings):
-            found = window_errors(predict_windows(model.base.definition, [log], own, settings)).position
-        errors.append([found.get(after, np.nan) for after in HORIZONS])
-    return _Candidate(model, np.array(errors))
-
-
-def _trial(candidate: _Candidate, *, chosen: bool) -> ModelTrial:
-    errors = {
-        after: float(np.nanmean(of_logs))
-        for after, of_logs in zip(HORIZONS, candidate.errors.T, strict=True)
-        if not np.isnan(of_logs).all()
-    }
-    identification = candidate.model.identification
-    on = next((trial.terms for trial in identification.trials if trial.chosen), identification.auxiliary)
-    return ModelTrial(candidate.model.base.name, on, "", errors, chosen)
 
 
 SIMILAR_ERROR_RATIO: Final = 1.01

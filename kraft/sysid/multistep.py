@@ -21,8 +21,9 @@ from typing import TypeVar
 
 import numpy as np
 
+from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.chains import Segment, chains_of
-from kraft.sysid.dynamics import DIFFERENCE_STEP, ActuatorModel
+from kraft.sysid.dynamics import DIFFERENCE_STEP
 from kraft.sysid.initial_values import SmoothedPoses, initial_states, smooth_chains
 from kraft.sysid.optimiser import OnIteration, Optimum, RhoFactors, bounded_step, ignore_iteration
 from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index, steering_offset

@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 from scipy.special import chdtri, gammaincinv, ndtr
 
+from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.chains import Chains, Segment, chains_of
-from kraft.sysid.dynamics import ActuatorModel, Dynamics
+from kraft.sysid.dynamics import Dynamics
 from kraft.sysid.initial_values import SmoothedPoses, initial_states
 from kraft.sysid.interface import Noise, Settings
 from kraft.sysid.parameters import Parameters

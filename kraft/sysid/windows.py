@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.chains import Chains, Segment, pose_steps, segment_between
-from kraft.sysid.dynamics import ActuatorModel
 from kraft.sysid.initial_values import SmoothedPoses
 from kraft.sysid.interface import Settings
 from kraft.sysid.smoothing import begins_at_rest, smoothed_each

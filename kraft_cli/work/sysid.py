@@ -18,8 +18,6 @@ from kraft.logs.mapping import load_mapping
 from kraft.sysid.acceptance import (
     PredictionEvaluation,
     evaluate_predictions,
-    identify_car,
-    models_of_cars,
     objections,
     replacement_objections,
 )
@@ -30,6 +28,7 @@ from kraft.sysid.data import LogSplit, check_holdout, split_logs
 from kraft.sysid.factor_graph import ensure_compiled
 from kraft.sysid.identify import check_controls, has_terms, identify
 from kraft.sysid.interface import AuxiliarySelection, Identification, Noise, Settings
+from kraft.sysid.model_choice import identify_car, models_of_cars
 from kraft.sysid.parameters import is_unknown_to_planning
 from kraft.sysid.screening import check_consistency
 from kraft.sysid.selection import check_free_parameters, check_settings, excluded_for_planning

@@ -12,7 +12,8 @@ from benchmarks.synthetic_logs import CommandSeries, random_commands, synthetic_
 from benchmarks.sysid import TRUTH
 from kraft.errors import Code, InputError
 from kraft.sysid import Identification, Settings, identify, prediction_errors
-from kraft.sysid.dynamics import DiscreteModel, Dynamics, hat_means, through_play
+from kraft.sysid.actuators import hat_means, through_play
+from kraft.sysid.dynamics import DiscreteModel, Dynamics
 from kraft.sysid.parameters import auxiliary_parameters, parameters_of, vehicle_of
 from kraft.sysid.problem import ObservationModel
 from kraft.sysid.selection import check_free_parameters, selection_note

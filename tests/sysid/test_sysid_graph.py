@@ -12,8 +12,9 @@ from benchmarks.synthetic_logs import synthetic_logs
 from benchmarks.sysid import NOISE, TRUTH
 from kraft.errors import Defect
 from kraft.logs.log import Log, Part
+from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.chains import segment_between, whole_segment
-from kraft.sysid.dynamics import ActuatorModel, DiscreteModel
+from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.factor_graph import FastGraph, PaperGraph
 from kraft.sysid.initial_values import InitialSearch, smooth_chains
 from kraft.sysid.interface import Settings

@@ -12,12 +12,13 @@ from kraft.errors import InputError
 from kraft.logs.log import Log, Part
 from kraft.logs.reader import read_logs
 from kraft.sysid import Settings, identify, prediction_errors
-from kraft.sysid.acceptance import identify_car
+from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.base_vehicle import for_commands, load_base_vehicle, with_recorded_commands
 from kraft.sysid.chains import whole_segment
 from kraft.sysid.checks import SteeringInMotion
-from kraft.sysid.dynamics import ActuatorModel, DiscreteModel
+from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.identify import identify_terms
+from kraft.sysid.model_choice import identify_car
 from kraft.sysid.parameters import parameters_of
 from kraft.sysid.prediction import constant_windows, window_errors
 from kraft.sysid.selection import is_shown
