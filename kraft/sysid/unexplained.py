@@ -40,6 +40,8 @@ JOINED: Final = 0.6
 """Time between two unexplained stretches below which they are one, s."""
 SAMPLES_MIN: Final = 4
 """Least number of samples of a stretch: the first and last pose of a log have none on one side."""
+POSE_INTERVAL_MAX: Final = 0.15
+"""Time between two poses up to which they show when the vehicle turns or slows down, s."""
 SHARE_MAX: Final = 0.3
 """Share of the logs above which unexplained stretches are the rule, and show that the regressions do not apply."""
 
@@ -60,10 +62,10 @@ class Stretch:
 
 
 def unexplained_stretches(logs: Sequence[Log]) -> tuple[Stretch, ...]:
-    """Stretches that no model explains; none if the logs are of no car or too short."""
+    """Stretches that no model explains; none if the logs are of no car, too short, or with too few poses a second."""
     if any(not {"throttle", "steering"} <= set(log.controls) for log in logs):
         return ()
-    found = [m for m in motions(logs) if len(m.times) > round(2 * SPAN / STEP)]
+    found = [m for m in motions(logs) if len(m.times) > round(2 * SPAN / STEP) and _is_dense(m.part)]
     if not found:
         return ()
     left = _left(found)
@@ -74,6 +76,10 @@ def unexplained_stretches(logs: Sequence[Log]) -> tuple[Stretch, ...]:
     if sum(s.end - s.begin for s in stretches) > SHARE_MAX * whole:
         return ()
     return tuple(stretches)
+
+
+def _is_dense(part: Part) -> bool:
+    return float(np.median(np.diff(part.pose_times))) <= POSE_INTERVAL_MAX
 
 
 def _left(found: Sequence[Motion]) -> list[tuple[Floats, Floats, Floats]]:

@@ -352,7 +352,7 @@ def timeout_cause(
     extent = float(np.hypot(*np.ptp(track, axis=0)))
     if extent < STANDS:
         planned = counted(len(late), "cycle")
-        text = f"moved {extent:.2f} m in the last {end - max(since, 0.0):.2g} s, with plans in {planned}"
+        text = f"moved {extent:.2f} m in the last {end - max(since, 0.0):.3g} s, with plans in {planned}"
         return Cause(kind=CauseKind.STUCK, text=text)
     left = late[-1].cost_to_goal
     text = f"the last plan needed {left:.1f} s more" if np.isfinite(left) else "still driving at the end"

@@ -16,6 +16,7 @@ from kraft.logs.log import Finding, Log
 from kraft.sysid import identify, prediction_errors
 from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
 from kraft.sysid.screening import check_consistency
+from kraft.sysid.smoothing import thinned
 from kraft.sysid.unexplained import unexplained_stretches, without
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 
@@ -175,6 +176,8 @@ def test_a_car_that_is_held_is_slower_than_commanded_and_then_faster() -> None:
 
 def test_nothing_is_left_out_of_good_logs() -> None:
     assert unexplained_stretches(logs()) == ()
+    sparse = [replace(log, parts=tuple(thinned(part, 0.2) for part in log.parts)) for log in disturbances()]
+    assert unexplained_stretches(sparse) == ()
     assert without(logs(), ()) == logs()
 
 
