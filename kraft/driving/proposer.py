@@ -358,7 +358,7 @@ class Proposer:
         """Alg. 1 from the predicted root, starting with the remainder of the plan that is being executed."""
         root, rest = query.root, query.rest
         if dirt.start(root, self._seed_of(query)) < 0.0:
-            return Proposal(None, "the predicted start of the cycle is in collision")
+            return Proposal(None, "the predicted start of the cycle is in collision or too near to an obstacle")
         if self._slack(dirt, root) < 0.0:
             return Proposal(None, "the predicted start of the cycle lacks clearance")
         lost = PlanLoss.NONE
