@@ -18,7 +18,6 @@ from kraft.evaluation.statistics import percentile, while_driving
 from kraft.evaluation.summary import measures_json
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
-from kraft.simulation.camera import beyond_measured
 from kraft.text import counted, finite, metres
 from kraft.trial.measures import Measures
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
@@ -75,8 +74,6 @@ def run_scenario(
     assert experiment is not None, "every problem was raised"
     cell = experiment.cells[0]
     _log_details(detail, cell)
-    if far := beyond_measured(cell.scenario):
-        report(f"warning: {far}")
     timer.report("loaded and checked")
     steps, heading = needs_steps(cell.method, cell.vehicle), cell.scenario.goal.heading is not None
     ensure_compiled(
@@ -84,8 +81,11 @@ def run_scenario(
         modules=kernel_modules(cell.method),
     )  # fmt: skip
     check_reachable(cell.scenario.task(), cell.vehicle)
-    from kraft.trial.trial import run_trial  # loads the simulator
+    from kraft.simulation.camera import beyond_measured  # loads the simulator
+    from kraft.trial.trial import run_trial
 
+    if far := beyond_measured(cell.scenario):
+        report(f"warning: {far}")
     timer.report("kernels, maps and simulator loaded")
     spec = TrialSpec(cell.scenario, cell.method, cell.vehicle, request.seed)
     with TrialOutputs(request.outputs, spec, on_cycle) as outputs:
