@@ -207,8 +207,9 @@ def _draw_choice(figure: Figure, page: Page, top: float, result: Identification)
     if result.trials:
         part = Rectangle(LEFT, top, width, CHOICE)
         colours = draw_trials(page.axes(figure, part), result.trials)
+        models = " and ".join(dict.fromkeys(trial.model for trial in result.trials))
         words = [
-            (f"Choice of terms of {result.trials[0].model}: error on logs not fitted, without one after another", INK),
+            (f"Choice of terms of {models}: error on logs not fitted, without one after another", INK),
             *colours,
         ]
         caption(figure, page, part, words)

@@ -251,7 +251,7 @@ def _tried(trials: Sequence[ModelTrial], k: int) -> str:
     """What tells a structure from the one before."""
     if k == 0:
         return counted(len(trials[k].terms), "term")
-    if trials[k].model != trials[0].model:
+    if trials[k].model != trials[k - 1].model:
         return trials[k].model
     if trials[k].added:
         return f"+ {trials[k].added}"
