@@ -50,6 +50,7 @@ from kraft.plot.sysid_panels import (
     draw_trials,
     draw_windows,
     fit_panels,
+    longest_time,
     table_height,
 )
 from kraft.sysid.acceptance import PredictionEvaluation
@@ -217,7 +218,7 @@ def _draw_choice(figure: Figure, page: Page, top: float, result: Identification)
         left = WIDTH - RIGHT - SIDE if result.trials else LEFT + NAMES
         part = Rectangle(left, top, SIDE, MODEL * len(result.models))
         draw_models(page.axes(figure, part), result.models)
-        after = f"error after {max(result.models[0].errors):g} s, cm"
+        after = f"error after {longest_time(result.models):g} s, cm"
         caption(figure, page, part, (("Choice of the model", INK), (after, INK)))
 
 

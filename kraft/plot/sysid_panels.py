@@ -259,17 +259,24 @@ def _tried(trials: Sequence[ModelTrial], k: int) -> str:
     return names[0] if len(names) == 1 else f"{len(names)} idle ones"
 
 
+def longest_time(models: Sequence[ModelTrial]) -> float:
+    """Longest time that any of the models predicts, s."""
+    return max(after for model in models for after in model.errors)
+
+
 def draw_models(axes: Axes, models: Sequence[ModelTrial]) -> None:
-    """Draw the errors of models at the longest time that all of them predict."""
-    after = max(set.intersection(*(set(model.errors) for model in models)))
-    errors = [100.0 * model.errors[after] for model in models]
+    """Draw the errors of models at the longest time; one that does not predict that long has no bar."""
+    after = longest_time(models)
+    errors = [100.0 * model.errors.get(after, math.nan) for model in models]
     colours = [IDENTIFIED if model.chosen else DATA for model in models]
     axes.barh(range(len(models)), errors, height=0.6, color=colours)
     for k, error in enumerate(errors):
-        axes.text(error, k, f" {plain_number(float(f'{error:.3g}'))}", va="center", fontsize=SMALL)
+        known = not math.isnan(error)
+        text = plain_number(float(f"{error:.3g}")) if known else "not predicted"
+        axes.text(error if known else 0.0, k, f" {text}", va="center", fontsize=SMALL)
     axes.set_yticks(range(len(models)), [model.model for model in models], fontsize=SMALL)
     axes.invert_yaxis()
-    axes.set(xlim=(0.0, 1.2 * max(errors)), xticks=[])
+    axes.set(xlim=(0.0, 1.2 * float(np.nanmax(errors))), xticks=[])
     axes.spines[["top", "right", "bottom"]].set_visible(False)
 
 

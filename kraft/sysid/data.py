@@ -56,6 +56,16 @@ def screen_logs(logs: Sequence[Log]) -> ScreenedLogs:
     return ScreenedLogs(tuple(kept), tuple(shortened), tuple(problems))
 
 
+def check_any(logs: Sequence[Log]) -> None:
+    """Refuse to identify from no logs.
+
+    Raises:
+        InputError: if there are none.
+    """
+    if not logs:
+        raise InputError.of("logs", "there are none", "expected at least one log with commands and poses", Code.MISSING)
+
+
 def usable_logs(vehicle: Vehicle, logs: Sequence[Log]) -> list[Log]:
     """The logs with their commands in the vehicle's order, without parts that are too short (see `screen_logs`).
 
@@ -63,8 +73,7 @@ def usable_logs(vehicle: Vehicle, logs: Sequence[Log]) -> list[Log]:
         InputError: with every log whose commands are not the vehicle's, or whose numbers are not finite; if there are
             no logs, or nothing in them moves.
     """
-    if not logs:
-        raise InputError.of("logs", "there are none", "expected at least one log with commands and poses", Code.MISSING)
+    check_any(logs)
     problems = [problem for log in logs for problem in _problems(vehicle, log)]
     if problems:
         raise InputError(problems)

@@ -41,7 +41,8 @@ from kraft.sysid.selection import (
     selection_note,
 )
 from kraft.sysid.smoothing import measured_noise
-from kraft.sysid.structure import HORIZON_SHARES, NEGLIGIBLE, Structure, StructureSearch, best_of, chosen, is_near
+from kraft.sysid.structure import HORIZON_SHARES, StructureSearch
+from kraft.sysid.structure_choice import NEGLIGIBLE, Structure, best_of, chosen, is_near
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.errors import Code, InputError, NegativeResult
+from kraft.errors import InputError, NegativeResult
 from kraft.sysid.base_vehicle import BaseVehicle, for_commands, load_base_vehicle, with_speed
 from kraft.sysid.checks import SteeringInMotion
-from kraft.sysid.data import usable_logs
+from kraft.sysid.data import check_any, usable_logs
 from kraft.sysid.identify import check_controls, identify, identify_terms
 from kraft.sysid.interface import Identification, ModelTrial, Settings
 from kraft.sysid.optimiser import OnIteration, ignore_iteration
@@ -79,8 +79,7 @@ def identify_car(
         InputError: if the logs cannot be used, or a command never changes in them.
     """
     settings = settings or Settings()
-    if not logs:
-        raise InputError.of("logs", "there are none", "expected at least one log with commands and poses", Code.MISSING)
+    check_any(logs)
     check_controls(logs, SteeringInMotion.of(logs))
     car = _with_terms(logs, settings, on_iteration)
     judged, refused = [_judged(car, logs, settings)], []

@@ -23,7 +23,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
@@ -39,9 +39,10 @@ from kraft.sysid.prediction import Piece, Predictor, pieces_of
 from kraft.sysid.problem import NoiseModel, Point, noise_model
 from kraft.sysid.selection import costs_of_terms, is_shown, size_of_term
 from kraft.sysid.smoothing import measured_noise, thinned
+from kraft.sysid.structure_choice import NEGLIGIBLE, OFFSETS, Structure, best_of, is_near, may_be_near
 from kraft.sysid.windows import Variation, cut, folds_of, windows_of
 from kraft.vehicles.config import VehicleConfig
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -50,8 +51,6 @@ if TYPE_CHECKING:
 
 AUXILIARY: Final = ("delay",)
 """Auxiliary parameters beside the terms of the model; all others are terms of it."""
-OFFSETS: Final = ("lever", "yaw_offset")
-"""Terms of the poses alone, which no effect of discrete steps looks like."""
 FIRST_GROWTH: Final = (0.2, 0.2, 0.3)
 """Growth of the model's error in the first fit: m/s, m/s, rad/s."""
 GROWTH_ROUNDS: Final = 2
@@ -66,12 +65,6 @@ VARIATION_ROUNDS, VARIATION_CHANGE = 3, 0.3
 """Most estimates of the variation with the chosen terms, and the relative change below which one is the last."""
 WORSE_MAX: Final = 3
 """Structures in a row that are clearly worse than the best, after which the search ends."""
-CLEARLY_WORSE: Final = 0.1
-"""Share by which a structure predicts worse that lacks something; without a needed term it is a multiple."""
-NEGLIGIBLE: Final = 0.04
-"""Share by which a simpler structure may predict worse: as much as a term can gain that stands for discrete steps."""
-NEGLIGIBLE_OFFSET: Final = 0.02
-"""The same for a structure that lacks an offset of the poses."""
 PATH_COST: Final = 2.0
 """Most by which the cost of a term may be larger than its increase on the path, whose fits are not at their ends."""
 SIZE_MIN: Final = 0.15
@@ -90,37 +83,6 @@ DIVERGED: Final = 1e6
 """Error of a prediction that diverges, m: the structure is judged by it, and not by the other predictions alone."""
 HORIZON_SHARES: Final = (1.0 / 3.0, 2.0 / 3.0, 1.0)
 """Times in a window at which errors are compared, as shares of the horizon."""
-
-
-@dataclass(frozen=True, eq=False)
-class Structure:
-    """A fitted structure: the terms that are on, and its errors on logs that it was not fitted to."""
-
-    terms: tuple[str, ...]
-    """parameters that could be switched off and are on"""
-    graph: MultiStep
-    optimum: Optimum
-    errors: Matrix
-    """(folds, horizons) over their time, m/s; NaN of what no window of a fold reaches"""
-    others: Matrix
-    """(folds, np) parameters that the other folds give, to first order"""
-    without: str = ""
-    """term that was switched off last"""
-    added: str = ""
-    """terms that were switched on again"""
-
-    @cached_property
-    def scores(self) -> Floats:
-        """(folds,) mean of the errors over their time, m/s; NaN of a fold that is too short to be predicted."""
-        known = ~np.isnan(self.errors)
-        with np.errstate(invalid="ignore"):
-            scores: Floats = np.nansum(self.errors, axis=1) / known.sum(axis=1)
-        return scores
-
-    @property
-    def score(self) -> float:
-        """Mean of the scores of the folds that are predicted, m/s."""
-        return float(np.nanmean(self.scores))
 
 
 class StructureSearch:
@@ -420,7 +382,7 @@ class StructureSearch:
     @staticmethod
     def _too_few(path: Sequence[Structure]) -> bool:
         best = best_of(path)
-        return len(path) > WORSE_MAX and not any(_may_be_near(s, best) for s in path[-WORSE_MAX:])
+        return len(path) > WORSE_MAX and not any(may_be_near(s, best) for s in path[-WORSE_MAX:])
 
     def alike(self, other: Structure) -> Structure:
         """The structure with the terms of one of another model, as far as this model has them."""
@@ -431,46 +393,6 @@ class StructureSearch:
         rho = np.array([known.get(n, v) for n, v in zip(p.names, p.nominal, strict=True)])
         start = graph.start(p.within_bounds(np.where(p.free, rho, p.nominal)))
         return self._judged(terms, graph, self._optimise(graph, start))
-
-
-def best_of(path: Sequence[Structure]) -> Structure:
-    """The structure with the least mean error."""
-    return min(path, key=lambda s: s.score)
-
-
-def chosen(path: Sequence[Structure]) -> Structure:
-    """The simplest structure that is as good as the best."""
-    best = best_of(path)
-    strict = _simplest([s for s in path if is_near(s, best, NEGLIGIBLE_OFFSET)])
-    needed = set(OFFSETS) & set(strict.terms)
-    return _simplest([s for s in path if needed <= set(s.terms) and is_near(s, best, NEGLIGIBLE)])
-
-
-def _simplest(structures: Sequence[Structure]) -> Structure:
-    """The structure with the fewest terms, and among those the one with the least mean error."""
-    return min(structures, key=lambda s: (len(s.terms), s.score))
-
-
-def is_near(structure: Structure, best: Structure, share: float) -> bool:
-    """Whether the mean error is within one standard error, or a share, of the best one."""
-    difference = structure.scores - best.scores
-    difference = difference[~np.isnan(difference)]
-    deviation = float(difference.std(ddof=1)) if len(difference) > 1 else 0.0
-    return float(difference.mean()) <= max(deviation / math.sqrt(len(difference)), share * best.score)
-
-
-def _may_be_near(structure: Structure, best: Structure) -> bool:
-    """Whether a structure is not clearly worse, or in a single fold alone.
-
-    The other folds may not show a term at all: what they leave of it is then its prior, whichever other terms are on.
-    """
-    difference = structure.scores - best.scores
-    others = np.arange(len(difference)) != int(np.nanargmax(difference))
-    others &= ~np.isnan(difference)
-    if not others.any():
-        return is_near(structure, best, CLEARLY_WORSE)
-    own, of_best = (replace(s, errors=s.errors[others]) for s in (structure, best))
-    return is_near(structure, best, CLEARLY_WORSE) or is_near(own, of_best, CLEARLY_WORSE)
 
 
 def _is_shown(structure: Structure, name: str, gain: float) -> bool:

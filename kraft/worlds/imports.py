@@ -172,7 +172,9 @@ def read_occupancy(path: Path, out: Path, vehicle: str, start: Start, goal: Goal
     corners = _corners(read_map(path, height=0.2, name=None))
     (low_x, low_y), (high_x, high_y) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
     bounds = {"x": [low_x, high_x], "y": [low_y, high_y]}
-    outside = [{"name": f"outside the map {k}", "polygon": {"vertices": each}} for k, each in _outside(corners)]
+    outside = [
+        {"name": f"outside the map {k}", "polygon": {"vertices": each}} for k, each in enumerate(_outside(corners), 1)
+    ]
     world = World(
         name=plain_name(path.stem),
         remark=f"From the occupancy map {path.name}.",
@@ -207,16 +209,14 @@ def _corners(occupancy: OccupancyMap) -> Matrix:
     return placed
 
 
-def _outside(corners: Matrix) -> Iterator[tuple[int, list[list[float]]]]:
-    """Triangles between a turned map and its bounds, numbered from 1: nothing is known there."""
-    number = 0
+def _outside(corners: Matrix) -> Iterator[list[list[float]]]:
+    """Triangles between a turned map and its bounds: nothing is known there."""
     for one, other in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         along = other - one
         if np.abs(along).min() < LENGTH_MIN:  # the edge is on the bounds
             continue
         right = np.array([one[0], other[1]]) if along[0] * along[1] < 0.0 else np.array([other[0], one[1]])
-        number += 1
-        yield number, [one.tolist(), right.tolist(), other.tolist()]
+        yield [one.tolist(), right.tolist(), other.tolist()]
 
 
 VEHICLES: Final = {

@@ -13,7 +13,8 @@ from kraft.sysid.interface import Settings
 from kraft.sysid.optimiser import RhoFactors
 from kraft.sysid.parameters import parameters_of
 from kraft.sysid.selection import is_shown
-from kraft.sysid.structure import Structure, StructureSearch, chosen
+from kraft.sysid.structure import StructureSearch
+from kraft.sysid.structure_choice import Structure, chosen
 from kraft.vehicles.config import load_vehicle_config
 
 FOLDS = 8
