@@ -13,20 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from kraft.config.yaml_reader import (
-    DEPTH_MAX,
-    AmbiguousScalar,
-    Document,
-    KeyPath,
-    Position,
-    Source,
-    Unusable,
-    Value,
-    decode,
-    holds_surrogate,
-    plain_scalar,
-    read_bytes,
-)
+from kraft.config.document import DEPTH_MAX, Document, Unusable, Value, decode, holds_surrogate, read_bytes
+from kraft.config.scalar import AmbiguousScalar, plain_scalar
+from kraft.config.source import KeyPath, Position, Source
 from kraft.errors import Code, Diagnostic, InputError
 
 _SPACE: Final = re.compile(r"[ \t\r\n]*")

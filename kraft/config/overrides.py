@@ -13,7 +13,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.config.yaml_reader import Document, KeyPath, Place, Value, format_path, parse_document, parse_path
+from kraft.config.document import Document, Value
+from kraft.config.source import KeyPath, Place, format_path, parse_path
+from kraft.config.yaml_reader import parse_document
 from kraft.errors import Code, Diagnostic, InputError
 
 EXAMPLE: Final = "expected KEY=VALUE, as in sensing.noise_scale=2"

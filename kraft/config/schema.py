@@ -12,7 +12,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from kraft.config.yaml_reader import Document, KeyPath, Source, Value, read_document
+from kraft.config.document import Document, Value
+from kraft.config.source import KeyPath, Source
+from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import counted, nearest, suggestion
 

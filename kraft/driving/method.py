@@ -15,7 +15,7 @@ from pydantic_core import PydanticCustomError
 
 from kraft.config import bundled
 from kraft.config.schema import Name, NonNegative, Positive, Probability, StrictModel, read_model, refuse
-from kraft.config.yaml_reader import Source
+from kraft.config.source import Source
 from kraft.driving.control_settings import PREDICTIVE, ControllerSettings, Seconds
 from kraft.errors import Code, InputError
 

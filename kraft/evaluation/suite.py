@@ -16,9 +16,11 @@ from typing import Annotated, Any, TypeAlias
 from pydantic import Field, StringConstraints
 
 from kraft.config import bundled
+from kraft.config.document import Document, Value
 from kraft.config.overrides import Override, overrides_of, plain_value, repeated, value_text
 from kraft.config.schema import Name, StrictModel, check
-from kraft.config.yaml_reader import Document, Place, Source, Value, read_document
+from kraft.config.source import Place, Source
+from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.scenario import Scenario, load_scenario
 

@@ -13,7 +13,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from kraft.config.yaml_reader import KeyPath
+from kraft.config.source import KeyPath
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.mapping import Column, Mapping
 from kraft.logs.names import (

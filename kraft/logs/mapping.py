@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, Self
 from pydantic import ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
 from kraft.config.schema import NonNegative, Positive, StrictModel, read_model, refuse
-from kraft.config.yaml_reader import KeyPath, Source
+from kraft.config.source import KeyPath, Source
 from kraft.errors import Code
 from kraft.logs.names import ALLOWED, SYNONYMS, Quantity, Unit
 from kraft.text import suggestion

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.config.yaml_reader import KeyPath
+from kraft.config.source import KeyPath
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.cleaning import clean
 from kraft.logs.discover import FORMATS, Candidate, discover

@@ -19,9 +19,9 @@ import numpy as np
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from kraft.config.document import Document
 from kraft.config.json_reader import read_json
 from kraft.config.schema import NonNegative, Positive, StrictModel, check, describe, refuse
-from kraft.config.yaml_reader import Document
 from kraft.errors import Code, InputError
 from kraft.files import check_writable, write_whole
 from kraft.planning.plan import PlanResult

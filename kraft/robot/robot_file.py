@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from kraft.config import bundled
 from kraft.config.schema import Angle, Name, Positive, StrictModel, read_model, refuse
-from kraft.config.yaml_reader import Source
+from kraft.config.source import Source
 from kraft.errors import Code
 
 Topic = Annotated[str, StringConstraints(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")]

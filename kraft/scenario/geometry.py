@@ -20,7 +20,7 @@ from PIL import Image, UnidentifiedImageError
 from pydantic import BeforeValidator, Field, model_validator
 
 from kraft.config.schema import LENGTH_MIN, Angle, Coordinate, Probability, StrictModel, read_model, refuse
-from kraft.config.yaml_reader import Source
+from kraft.config.source import Source
 from kraft.errors import Code, InputError
 from ompl_ext.memory import available_memory, in_words
 from ompl_ext.obstacles import OccupancyGrid

@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from kraft.config import bundled
+from kraft.config.document import Document, Value
 from kraft.config.overrides import Override, overridden, overrides_of
 from kraft.config.schema import check, part
-from kraft.config.yaml_reader import Document, KeyPath, Source, Value, parse_document, read_document
+from kraft.config.source import KeyPath, Source
+from kraft.config.yaml_reader import parse_document, read_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.scenario.geometry import Box, Circle, Obstacle, OccupancyMap, Polygon, Vec2, read_map, signed_area
 from kraft.scenario.planning import Planning

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from kraft.config.schema import LENGTH_MIN, Angle, Length, Point, Positive, Size, Span, StrictModel, refuse
-from kraft.config.yaml_reader import KeyPath
+from kraft.config.source import KeyPath
 from kraft.errors import Code
 from kraft.vehicles.true_robot import Robot
 

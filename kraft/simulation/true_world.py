@@ -15,7 +15,7 @@ from typing import Any, Final, Protocol
 import mujoco
 import numpy as np
 
-from kraft.config.yaml_reader import Source
+from kraft.config.source import Source
 from kraft.errors import Code, Defect, Diagnostic, InputError
 from kraft.planning.workspace import planar_obstacle
 from kraft.scenario import Scenario, Start

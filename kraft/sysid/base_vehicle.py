@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kraft.config import bundled
-from kraft.config.yaml_reader import Source
+from kraft.config.source import Source
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.interface import Identification
 from kraft.sysid.smoothing import high_speed

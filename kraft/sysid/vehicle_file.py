@@ -11,7 +11,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from kraft.config.schema import NAME, check
-from kraft.config.yaml_reader import Source, read_document
+from kraft.config.source import Source
+from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, InputError
 from kraft.files import check_writable, write_whole
 from kraft.provenance import IDENTIFICATION, versions

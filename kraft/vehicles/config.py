@@ -29,7 +29,7 @@ from kraft.config.schema import (
     read_model,
     refuse,
 )
-from kraft.config.yaml_reader import Source
+from kraft.config.source import Source
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles import DELAY_MAX, FORCE

@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from kraft.config import bundled
+from kraft.config.document import Document
 from kraft.config.schema import Name, StrictModel, check
-from kraft.config.yaml_reader import Document, Source, read_document
+from kraft.config.source import Source
+from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles import is_car

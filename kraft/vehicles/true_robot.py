@@ -10,7 +10,7 @@ from typing import Annotated, Final, Literal, Self
 from pydantic import Field, StringConstraints, model_validator
 
 from kraft.config.schema import Length, NonNegative, ParameterValue, Positive, StrictModel, Symbol, refuse
-from kraft.config.yaml_reader import KeyPath, Source
+from kraft.config.source import KeyPath, Source
 from kraft.errors import Code, Diagnostic
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 

@@ -18,7 +18,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from kraft.config.yaml_reader import Place, Position
+from kraft.config.source import Place, Position
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.worlds.world import SENSING, Goal, Imported, Start, World, above, plain_name
 

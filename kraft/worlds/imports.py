@@ -17,8 +17,10 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import Field
 
+from kraft.config.document import Document
 from kraft.config.schema import LENGTH_MIN, Coordinate, Length, StrictModel, check
-from kraft.config.yaml_reader import Document, Place, Source, read_document
+from kraft.config.source import Place, Source
+from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.scenario import OccupancyMap
 from kraft.scenario.geometry import read_map

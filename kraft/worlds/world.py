@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.config.overrides import value_text
-from kraft.config.yaml_reader import Place
+from kraft.config.source import Place
 from kraft.errors import Code, Diagnostic, InputError, Unreachable
 from kraft.files import check_writable, new_folder
 from kraft.planning.feasibility import check_placement, check_reachable

@@ -9,8 +9,9 @@ from typing import Final, Literal, TypeAlias
 from pydantic import BaseModel
 
 from kraft.config import bundled
+from kraft.config.document import Document
 from kraft.config.schema import Model, check
-from kraft.config.yaml_reader import Document, read_document
+from kraft.config.yaml_reader import read_document
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, MissingError, Problems, Unreachable
 from kraft.evaluation.suite import SuiteFile, load_suite

@@ -10,16 +10,10 @@ from hypothesis import strategies as st
 from support.diagnostics import located, raised
 from support.paths import ROOT
 
-from kraft.config import yaml_reader
-from kraft.config.yaml_reader import (
-    Document,
-    Position,
-    Unusable,
-    format_path,
-    parse_document,
-    parse_path,
-    read_document,
-)
+from kraft.config import yaml_nodes, yaml_reader
+from kraft.config.document import Document, Unusable
+from kraft.config.source import Position, format_path, parse_path
+from kraft.config.yaml_reader import parse_document, read_document
 from kraft.errors import Code, Diagnostic, InputError
 
 
@@ -213,7 +207,7 @@ def test_libyaml_and_the_parser_of_pyyaml_read_the_same_values_at_the_same_place
             return error.diagnostics
 
     fast = [read(content) for content in (*files, *ODD)]
-    monkeypatch.setattr(yaml_reader, "_FastLoader", yaml_reader._Loader)
+    monkeypatch.setattr(yaml_nodes, "_FastLoader", yaml_nodes._Loader)
     assert [read(content) for content in (*files, *ODD)] == fast
 
 

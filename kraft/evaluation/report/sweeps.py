@@ -15,7 +15,7 @@ from xml.etree.ElementTree import Element
 
 from kraft.config.overrides import value_text
 from kraft.config.schema import lookup
-from kraft.config.yaml_reader import parse_path
+from kraft.config.source import parse_path
 from kraft.evaluation.journal import success_times
 from kraft.evaluation.report.elements import Content, element, number, svg
 from kraft.evaluation.report.results import RecordedCell, Results
