@@ -1,40 +1,29 @@
-"""Choice of tables and columns for commands, poses and dead man: by the mapping file, else by their names.
-
-A column is matched to a role if the mapping file names it, else if its name fits best.
-"""
+"""Choice of tables and columns for commands, poses and dead man: by the mapping file, else by their names."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from itertools import chain
 from typing import Final, TypeVar
-
-import numpy as np
 
 from kraft.config.source import KeyPath
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.mapping import Column, Mapping
+from kraft.logs.matching import MAPPING_HINT, ColumnMatch, ColumnMatcher, missing_columns
 from kraft.logs.names import (
-    ALLOWED,
     COMMAND,
     POSE,
-    SYNONYMS,
-    YAW,
-    Quantity,
-    Unit,
     axis_score,
     control_score,
     dead_man_score,
     parse,
     quaternion_score,
-    time_score,
     yaw_score,
 )
 from kraft.logs.streams import Channel, Choice, Stream
-from kraft.logs.table import LOG_TIME, STAMP, Table
-from kraft.text import nearest, suggestion
+from kraft.logs.table import LOG_TIME, Table
+from kraft.text import suggestion
 
 Guess = TypeVar("Guess")
 _TOPIC_HINTS: Final = {
@@ -325,137 +314,3 @@ def _is_switch(table: Table) -> bool:
 
 def _bool_score(name: str) -> int | None:
     return 100 if name == "data" else None
-
-
-Score = Callable[[str], int | None]
-TYPO_LENGTH_MIN: Final = 4
-"""Least number of letters of a word whose misspellings are recognised."""
-TYPO_SIMILARITY_MIN: Final = 0.75
-"""Least similarity of a misspelling."""
-MAPPING_HINT = "a mapping file can name the column"
-
-
-@dataclass(frozen=True)
-class ColumnMatch:
-    """The column for a role with its score, or the reason why there is none: no match, or a problem."""
-
-    channel: Channel | None
-    score: int = 0
-    problem: Diagnostic | None = None
-    missing: str = ""
-
-
-@dataclass(frozen=True)
-class ColumnMatcher:
-    """Matches the columns of one table.
-
-    Attributes:
-        table: the table.
-        mapping: the mapping file.
-    """
-
-    table: Table
-    mapping: Mapping
-
-    def match(
-        self, role: str, score: Score, quantity: Quantity, path: KeyPath, mapped_column: Column | None
-    ) -> ColumnMatch:
-        """Match the column for a role; ``path`` is the key of the mapping file, ``mapped_column`` its value."""
-        if mapped_column is not None:
-            return self.mapped(role, mapped_column, quantity, written_at(path, self.mapping))
-        scores = {name: fit for name in self.table.columns if (fit := score(name)) is not None}
-        if not scores:
-            return ColumnMatch(None, missing=role)
-        best = max(scores.values())
-        names = [name for name, fit in scores.items() if fit == best]
-        if len(names) > 1:
-            both = ", ".join(repr(name) for name in names)
-            return ColumnMatch(
-                None,
-                problem=self.table.diagnostic(
-                    f"{role} could be any of {both}", f"expected one; {MAPPING_HINT}", code=Code.CONFLICT
-                ),
-            )
-        return ColumnMatch(self.channel(role, names[0], quantity), best)
-
-    def clock(self, family: set[str], mapped_column: Column | None, *path: str) -> ColumnMatch:
-        """Match the clock of a family of columns (commands or poses); ``path`` is the key of the family."""
-        if (
-            self.table.topic and mapped_column is None
-        ):  # the choice between the two stamps of a message follows when all streams are chosen
-            stamp = STAMP if STAMP in self.table.columns else LOG_TIME
-            return ColumnMatch(self.channel("time", stamp, "time"))
-        return self.match("time", lambda column: time_score(column, family), "time", (*path, "time"), mapped_column)
-
-    def mapped(self, role: str, mapped_column: Column, quantity: Quantity, path: KeyPath) -> ColumnMatch:
-        """The column that the mapping file names."""
-        if mapped_column.column not in self.table.columns:
-            problem = f"there is no column {mapped_column.column!r} in {self.table.name}"
-            diagnostic = self.mapping.source.diagnostic(
-                path, problem, suggestion(mapped_column.column, self.table.columns), code=Code.UNKNOWN
-            )
-            return ColumnMatch(None, problem=diagnostic)
-        channel = self.channel(role, mapped_column.column, quantity, mapped_column.unit)
-        place = self.mapping.source.diagnostic(path, "", "")
-        full = Channel(
-            role,
-            channel.column,
-            channel.unit,
-            mapped_column.zero,
-            mapped_column.scale,
-            channel.stated,
-            place,
-            channel.note,
-        )
-        return ColumnMatch(full, 1000)
-
-    def channel(self, role: str, name: str, quantity: Quantity, unit: Unit | None = None) -> Channel:
-        """Channel of a column, with the unit that is given, that its name states, or that is expected."""
-        named = unit or parse(name).unit
-        allowed = ALLOWED[quantity]
-        stated = named in allowed or bool(self.table.topic)  # in ROS messages it is SI (REP 103)
-        found = named if named is not None and named in allowed else allowed[0]
-        note = ""
-        if quantity == "time" and not stated:
-            found, note = _clock_unit(self.table.columns[name])
-        if quantity == "control" and not stated and role == "steering":
-            found = "rad"
-        return Channel(role, name, found, stated=stated, note=note)
-
-
-def written_at(path: KeyPath, mapping: Mapping) -> KeyPath:
-    """Key of the name of the column that the mapping file describes at `path`."""
-    written = (*path, "column")
-    return written if written in mapping.source.values else path
-
-
-def missing_columns(table: Table, roles: Sequence[str]) -> Diagnostic:
-    """Diagnostic for the roles that no column of a table matches."""
-    names = list(table.columns)
-    shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
-    noun = "field" if table.topic else "column"
-    problem = f"no {noun} is recognised as {' or as '.join(roles)}; there are {shown}"
-    near = [f"{name!r} for {role}" for role in roles if (name := _near_miss(role, names)) is not None]
-    expected = f"did you mean {', '.join(near)}? {MAPPING_HINT}" if near else f"expected one; {MAPPING_HINT}"
-    return table.diagnostic(problem, expected, code=Code.MISSING)
-
-
-def _near_miss(role: str, names: Sequence[str]) -> str | None:
-    """The column most similar to a role, or with a word similar to a name of the role: cmd_stear for steering."""
-    known = [word for word in SYNONYMS.get(role, YAW if role == "yaw" else ()) if len(word) >= TYPO_LENGTH_MIN]
-    misspelt = (
-        name
-        for name in names
-        if any(get_close_matches(word, known, 1, TYPO_SIMILARITY_MIN) for word in parse(name).words)
-    )
-    return nearest(role, names) or next(misspelt, None)
-
-
-def _clock_unit(values: np.ndarray) -> tuple[Unit, str]:
-    """Unit of stamps since 1970, by their magnitude; smaller numbers are seconds."""
-    finite = values[np.isfinite(values)]
-    size = float(np.max(np.abs(finite))) if len(finite) else 0.0
-    for least, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms")):
-        if size > least:
-            return unit, "by their size"  # type: ignore[return-value]
-    return "s", ""

@@ -14,7 +14,8 @@ import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.log import Array, Findings
-from kraft.logs.streams import Channel, Samples
+from kraft.logs.samples import Samples
+from kraft.logs.streams import Channel
 from kraft.logs.table import Flags, Rows
 
 CHORD_MIN = 0.1

@@ -15,9 +15,10 @@ from kraft.config.source import KeyPath
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.cleaning import clean
 from kraft.logs.discover import FORMATS, Candidate, discover
-from kraft.logs.guess import choose, unknown_controls, written_at
+from kraft.logs.guess import choose, unknown_controls
 from kraft.logs.log import Log, LogSet, Source
 from kraft.logs.mapping import Column, Control, Mapping
+from kraft.logs.matching import written_at
 from kraft.logs.motion import DegreesError, SwappedError, assumed_radians
 from kraft.logs.names import SYNONYMS, control_score
 from kraft.logs.streams import Choice, in_any_unit, on_one_clock

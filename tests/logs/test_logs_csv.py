@@ -12,8 +12,8 @@ from support.logs import Drive, drive, located, wide_columns, wrapped, write_pai
 
 from kraft.errors import Code, InputError
 from kraft.logs.discover import Candidate, without_repeated
-from kraft.logs.guess import missing_columns
 from kraft.logs.log import Log
+from kraft.logs.matching import missing_columns
 from kraft.logs.names import axis_score, control_score, parse, time_score, yaw_score
 from kraft.logs.reader import read_logs
 from kraft.logs.table import Table, read_csv
