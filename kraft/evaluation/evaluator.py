@@ -11,10 +11,12 @@ from typing import Any
 
 from kraft.driving.control import check_packages, kernel_modules, needs_steps
 from kraft.errors import Code, Diagnostic, Problems, Unreachable, out_of_range
-from kraft.evaluation.executors import Cluster, Executor, Log, Processes
+from kraft.evaluation.cluster import Cluster
 from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, Experiment, MethodLike, experiment_of
 from kraft.evaluation.folder import Folder, check_exists, check_new, create, reopen, write_results
+from kraft.evaluation.job import Executor, Log
 from kraft.evaluation.journal import Key, TrialRow
+from kraft.evaluation.processes import Processes
 from kraft.evaluation.report import CommandLine
 from kraft.evaluation.suite import ScenarioLike, Settings, Sweeps, entries_of
 from kraft.evaluation.summary import Summary, summarise

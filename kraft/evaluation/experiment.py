@@ -17,7 +17,7 @@ from typing import Any, Final, TypeAlias
 
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
-from kraft.evaluation.executors import Job
+from kraft.evaluation.job import Job
 from kraft.evaluation.suite import Entry, ScenarioLike, Settings, Sweeps, entries_of, list_problems, repeated_names
 from kraft.planning.feasibility import check_placement
 from kraft.planning.plan_file import vehicle_content

@@ -20,7 +20,7 @@ from kraft.sysid.smoothing import smoothed
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.vehicle import Vehicle
 
-WINDOW_LENGTH = 1.0
+COMPARED_LENGTH = 1.0
 """Length of the windows that are compared, s."""
 CANDIDATES = 128
 REFINED = 6
@@ -83,7 +83,7 @@ class InitialSearch:
             count = min(longest, int(steps[c]))
             begin = int(chains.first[c]) - c  # of its steps
             self._u[:count, place] = mean[begin : begin + count]
-            width = max(1, min(round(WINDOW_LENGTH / self._h[place]), count))
+            width = max(1, min(round(COMPARED_LENGTH / self._h[place]), count))
             windows = np.arange(0, count - width + 1, max(1, width // 2))
             index.append(np.column_stack([windows, windows + width]))
             lane.append(np.full(len(windows), place))

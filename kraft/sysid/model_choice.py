@@ -13,11 +13,12 @@ from kraft.errors import InputError, NegativeResult
 from kraft.sysid.base_vehicle import BaseVehicle, for_commands, load_base_vehicle, with_speed
 from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.data import check_any, usable_logs
-from kraft.sysid.identify import check_controls, identify, identify_terms
+from kraft.sysid.identify import identify
 from kraft.sysid.interface import Identification, ModelTrial, Settings
 from kraft.sysid.optimiser import OnIteration, ignore_iteration
 from kraft.sysid.prediction import HORIZONS, is_predictable, predict_windows, window_errors
 from kraft.sysid.smoothing import thinned
+from kraft.sysid.terms import check_controls, identify_terms
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Matrix
 

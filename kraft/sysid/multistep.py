@@ -11,13 +11,8 @@ on all cores (`in_parallel`): compiled kernels and large arrays release Python's
 from __future__ import annotations
 
 import math
-import os
-import threading
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cache, cached_property
-from typing import TypeVar
+from functools import cached_property
 
 import numpy as np
 
@@ -26,12 +21,12 @@ from kraft.sysid.chains import Segment, chains_of
 from kraft.sysid.dynamics import DIFFERENCE_STEP
 from kraft.sysid.initial_values import SmoothedPoses, initial_states, smooth_chains
 from kraft.sysid.optimiser import OnIteration, Optimum, RhoFactors, bounded_step, ignore_iteration
+from kraft.sysid.parallel import in_parallel
 from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index, steering_offset
 from kraft.sysid.problem import NoiseModel, Point, Problem, assemble
 from kraft.sysid.smoothing import NEIGHBOURS
 from kraft.sysid.windows import Acting, Variation, Windows, controls_in_parts, places
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
-from ompl_ext.cores import usable_cores
 
 START_NOISE = 3.0
 """Standard deviation of an initial pose from the smoothed one, over the noise of a pose."""
@@ -468,31 +463,3 @@ def fit(
         else:
             damping, converged = 5.0 * damping, damping > DAMPING_MAX
     return Optimum(point, cost, converged, iterations, graph.reduce(0.0))
-
-
-Item = TypeVar("Item")
-Found = TypeVar("Found")
-
-
-def in_parallel(function: Callable[[Item], Found], items: Iterable[Item]) -> list[Found]:
-    """Results of a function of each item, on all cores; in turn if this is one of the threads that do so already."""
-    if getattr(_thread, "working", False):
-        return [function(item) for item in items]
-
-    def work(item: Item) -> Found:
-        _thread.working = True
-        return function(item)
-
-    return list(_pool().map(work, items))
-
-
-_thread = threading.local()
-
-
-@cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(usable_cores(), "sysid")
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pool.cache_clear)  # a forked process has no threads

@@ -36,7 +36,7 @@ OFFSET_LEAST, OFFSET_RATIO = 0.2, 0.6
 """The same for commands at another time."""
 OFFSET_WIDTH: Final = 1.0
 """Time from the found offset at which commands must explain less, s."""
-AVERAGED: Final = 0.6
+RATE_SPAN: Final = 0.6
 """Time over which the yaw rate of different logs is compared, s."""
 GROUP_LOGS_MIN: Final = 4
 GROUP_TIME_MIN: Final = 20.0
@@ -203,7 +203,7 @@ def _turning_terms(m: Motion, delay: float) -> tuple[Matrix, Floats]:
     """Terms of the yaw rate and the yaw rate, averaged over a time in which lags hardly count."""
     v, s = m.speed, m.commands(delay)[:, 1]
     table = np.column_stack([v, v * s, v * s * np.abs(s), v**3 * s, v**3, m.rate])
-    count = min(round(AVERAGED / STEP), len(v) - 1)
+    count = min(round(RATE_SPAN / STEP), len(v) - 1)
     total = np.cumsum(np.vstack([np.zeros(table.shape[1]), table]), axis=0)
     mean = (total[count:] - total[:-count]) / count
     return mean[:, :-1], mean[:, -1]

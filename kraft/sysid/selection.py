@@ -10,15 +10,18 @@ identify.  A term of a model is judged by the likelihood with it and without it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
+from kraft.logs.log import Log
 from kraft.sysid.interface import CORRELATION_REMOVED, Settings
 from kraft.sysid.optimiser import Optimum, Uncertainty, held_at_bounds, inverse
 from kraft.sysid.parameters import (
+    DELAY_MIN,
     Parameters,
     auxiliary_parameters,
     is_unknown_to_planning,
@@ -26,12 +29,13 @@ from kraft.sysid.parameters import (
     parameter_specs,
     vehicle_of,
 )
+from kraft.sysid.screening import turns_before_steered
 from kraft.text import suggestion
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
-NEGLIGIBLE: Final = {"delay": 0.01, "lag_throttle": 0.01, "lag_steering": 0.01, "dead_band_throttle": 0.01,
+NEGLIGIBLE_BELOW: Final = {"delay": 0.01, "lag_throttle": 0.01, "lag_steering": 0.01, "dead_band_throttle": 0.01,
                     "dead_band_steering": 0.005, "play_steering": 0.005, "friction": 0.01, "lever": 0.01,
                     "yaw_offset": 0.005}  # fmt: skip
 """Candidates of the automatic selection, and the value below which each is negligible, in its unit."""
@@ -55,9 +59,9 @@ def candidates_of(vehicle: Vehicle, settings: Settings) -> tuple[str, ...]:
         return ()
     if isinstance(wanted, tuple):
         return tuple(name for name in known if name in wanted)
-    names = {name for name in NEGLIGIBLE if wanted == "auto" or not is_unknown_to_planning(name)} | requested_names(
-        settings
-    )
+    names = {
+        name for name in NEGLIGIBLE_BELOW if wanted == "auto" or not is_unknown_to_planning(name)
+    } | requested_names(settings)
     return tuple(name for name in known if name in names)
 
 
@@ -66,7 +70,7 @@ def excluded_for_planning(vehicle: Vehicle, settings: Settings) -> tuple[str, ..
     if settings.auxiliary != "plan":
         return ()
     candidates = candidates_of(vehicle, settings)
-    return tuple(name for name in auxiliary_parameters(vehicle) if name in NEGLIGIBLE and name not in candidates)
+    return tuple(name for name in auxiliary_parameters(vehicle) if name in NEGLIGIBLE_BELOW and name not in candidates)
 
 
 def selection_note(candidates: tuple[str, ...], kept: tuple[str, ...], requested: frozenset[str]) -> str:
@@ -129,7 +133,7 @@ def _indistinguishable(covariance: Matrix, k: int) -> bool:
 def _significant(name: str, value: float, variance: float, prior: float) -> bool:
     """Whether an auxiliary parameter is significant, not negligible, and more certain than its prior."""
     std = float(np.sqrt(variance))
-    return abs(value) >= max(NEGLIGIBLE[name], SIGNIFICANCE * std) and std <= STD_RATIO_MAX * prior
+    return abs(value) >= max(NEGLIGIBLE_BELOW[name], SIGNIFICANCE * std) and std <= STD_RATIO_MAX * prior
 
 
 def size_of_term(p: Parameters, optimum: Optimum, name: str) -> float:
@@ -267,3 +271,10 @@ def _not_positive(settings: Settings) -> Iterator[Diagnostic]:
     for name, value in settings.variation.items():
         if not (value >= 0.0 and math.isfinite(value)):
             yield Diagnostic("variation", f"{name} is {value:g}", "expected a number of at least 0", argument=True)
+
+
+def with_clock_offset(settings: Settings, logs: Sequence[Log]) -> Settings:
+    """Settings that allow a negative delay where the logs show it; elsewhere it would stand for what a model lacks."""
+    if settings.clock_offset is not None:
+        return settings
+    return replace(settings, clock_offset=-DELAY_MIN if turns_before_steered(logs) else 0.0)

@@ -32,14 +32,15 @@ import numpy as np
 from kraft.errors import Code, InputError
 from kraft.sysid.initial_values import InitialSearch, drive_values
 from kraft.sysid.interface import AT_BOUND, Settings
-from kraft.sysid.multistep import CONVERGED, MultiStep, fit, in_parallel
+from kraft.sysid.multistep import CONVERGED, MultiStep, fit
 from kraft.sysid.optimiser import OnIteration, Optimum, bounded_step, step_with, without_fold
+from kraft.sysid.parallel import in_parallel
 from kraft.sysid.parameters import Parameters, parameters_of, variation_of, vehicle_of
 from kraft.sysid.prediction import Piece, Predictor, pieces_of
 from kraft.sysid.problem import NoiseModel, Point, noise_model
 from kraft.sysid.selection import costs_of_terms, is_shown, size_of_term
 from kraft.sysid.smoothing import measured_noise, thinned
-from kraft.sysid.structure_choice import NEGLIGIBLE, OFFSETS, Structure, best_of, is_near, may_be_near
+from kraft.sysid.structure_choice import NEGLIGIBLE_LOSS, OFFSETS, Structure, best_of, is_near, may_be_near
 from kraft.sysid.windows import Variation, cut, folds_of, windows_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
@@ -255,7 +256,7 @@ class StructureSearch:
             return structure, self
         found = replace(found, without=structure.without, added=structure.added)
         found = longer.pruned(longer._extended(found, path))
-        return (found, longer) if is_near(found, structure, NEGLIGIBLE) else (structure, self)
+        return (found, longer) if is_near(found, structure, NEGLIGIBLE_LOSS) else (structure, self)
 
     def _extended(self, structure: Structure, path: Sequence[Structure]) -> Structure:
         """The structure with those of the other terms on that the likelihood shows, those of large gain first."""
@@ -281,7 +282,7 @@ class StructureSearch:
             less = self.without(structure, name)
             gain = less.optimum.cost - structure.optimum.cost
             shown = _is_shown if name in OFFSETS else _gains
-            if not shown(structure, name, gain) and is_near(less, structure, NEGLIGIBLE):
+            if not shown(structure, name, gain) and is_near(less, structure, NEGLIGIBLE_LOSS):
                 without = ", ".join(filter(None, (structure.without, name)))
                 structure = replace(less, added=structure.added, without=without)
         return structure

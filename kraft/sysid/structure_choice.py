@@ -18,7 +18,7 @@ OFFSETS: Final = ("lever", "yaw_offset")
 """Terms of the poses alone, which no effect of discrete steps looks like."""
 CLEARLY_WORSE: Final = 0.1
 """Share by which a structure predicts worse that lacks something; without a needed term it is a multiple."""
-NEGLIGIBLE: Final = 0.04
+NEGLIGIBLE_LOSS: Final = 0.04
 """Share by which a simpler structure may predict worse: as much as a term can gain that stands for discrete steps."""
 NEGLIGIBLE_OFFSET: Final = 0.02
 """The same for a structure that lacks an offset of the poses."""
@@ -65,7 +65,7 @@ def chosen(path: Sequence[Structure]) -> Structure:
     best = best_of(path)
     strict = _simplest([s for s in path if is_near(s, best, NEGLIGIBLE_OFFSET)])
     needed = set(OFFSETS) & set(strict.terms)
-    return _simplest([s for s in path if needed <= set(s.terms) and is_near(s, best, NEGLIGIBLE)])
+    return _simplest([s for s in path if needed <= set(s.terms) and is_near(s, best, NEGLIGIBLE_LOSS)])
 
 
 def _simplest(structures: Sequence[Structure]) -> Structure:

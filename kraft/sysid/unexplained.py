@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 TAPS: Final = (0.0, 0.1, 0.2, 0.3, 0.4)
 """Ages of the commands that take part, s."""
-SPAN: Final = 0.5
+LOOK_AHEAD: Final = 0.5
 """Time over which the change of the speed is explained, s."""
-AVERAGED: Final = 5
+SMOOTHED: Final = 5
 """Number of samples over which what is left is averaged."""
 DEVIATIONS: Final = 8.0
 """Usual sizes of what is left, above which a sample is unexplained, ..."""
@@ -65,7 +65,7 @@ def unexplained_stretches(logs: Sequence[Log]) -> tuple[Stretch, ...]:
     """Stretches that no model explains; none if the logs are of no car, too short, or with too few poses a second."""
     if any(not {"throttle", "steering"} <= set(log.controls) for log in logs):
         return ()
-    found = [m for m in motions(logs) if len(m.times) > round(2 * SPAN / STEP) and _is_dense(m.part)]
+    found = [m for m in motions(logs) if len(m.times) > round(2 * LOOK_AHEAD / STEP) and _is_dense(m.part)]
     if not found:
         return ()
     left = _left(found)
@@ -84,7 +84,7 @@ def _is_dense(part: Part) -> bool:
 
 def _left(found: Sequence[Motion]) -> list[tuple[Floats, Floats, Floats]]:
     """What the regressions leave of speed, yaw rate and sideways speed, over the least that counts; (n,) each."""
-    ahead = round(SPAN / STEP)
+    ahead = round(LOOK_AHEAD / STEP)
     speed = _residuals([_speed_terms(m, ahead) for m in found], [m.speed[ahead:] - m.speed[:-ahead] for m in found])
     rate = _residuals([_rate_terms(m) for m in found], [m.rate for m in found])
     side = _residuals([_side_terms(m) for m in found], [m.side for m in found])
@@ -145,7 +145,7 @@ def _residuals(terms: Sequence[Matrix], values: Sequence[Floats]) -> list[Floats
 
 
 def _averaged(values: Floats) -> Floats:
-    return np.convolve(np.pad(values, AVERAGED // 2, mode="edge"), np.ones(AVERAGED) / AVERAGED, "valid")
+    return np.convolve(np.pad(values, SMOOTHED // 2, mode="edge"), np.ones(SMOOTHED) / SMOOTHED, "valid")
 
 
 def _stretches(log: str, m: Motion, speed: Floats, rate: Floats, side: Floats) -> list[Stretch]:

@@ -35,8 +35,6 @@ class Windows:
     """Poses of windows in common arrays: W windows of at most n poses."""
 
     segments: tuple[Segment, ...]
-    steps: int
-    """of the longest window"""
     h: Floats
     """(W,) s"""
     poses: Floats
@@ -84,9 +82,9 @@ def windows_of(segments: Sequence[Segment], parts: Sequence[Part], fold: Ints, k
         poses[w, own], since[w, own] = s.part.poses[s.poses], times - s.begin
         seen[w, own] = True if known is None else since[w, own] <= known[w] + 1e-9
         step[w, own], share[w, own] = pose_steps(s)
-    h, steps = np.array([s.h for s in segments]), max(s.steps for s in segments)
+    h = np.array([s.h for s in segments])
     known = np.zeros(len(segments)) if known is None else known
-    return Windows(tuple(segments), steps, h, poses, seen, since, step, share, fold, known, first, interval)
+    return Windows(tuple(segments), h, poses, seen, since, step, share, fold, known, first, interval)
 
 
 def cut(part: Part, log: int, settings: Settings, wanted: float | None) -> list[Segment]:

@@ -16,8 +16,8 @@ from kraft.files import check_writable
 from kraft.logs.log import Log, Part
 from kraft.planning.compilation import ensure_compiled
 from kraft.sysid.base_vehicle import COMMANDS_OF, BaseVehicle, for_commands, load_base_vehicle
-from kraft.sysid.identify import has_terms
 from kraft.sysid.interface import Identification, Noise, Settings
+from kraft.sysid.terms import has_terms
 from kraft.text import counted
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import configured

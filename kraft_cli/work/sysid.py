@@ -26,12 +26,13 @@ from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
 from kraft.sysid.data import LogSplit, check_holdout, split_logs
 from kraft.sysid.factor_graph import ensure_compiled
-from kraft.sysid.identify import check_controls, has_terms, identify
+from kraft.sysid.identify import identify
 from kraft.sysid.interface import AuxiliarySelection, Identification, Noise, Settings
 from kraft.sysid.model_choice import identify_car, models_of_cars
 from kraft.sysid.parameters import is_unknown_to_planning
 from kraft.sysid.screening import check_consistency
 from kraft.sysid.selection import check_free_parameters, check_settings, excluded_for_planning
+from kraft.sysid.terms import check_controls, has_terms
 from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
 from kraft.sysid.vehicle_file import check_vehicle_target, identification_record, write_vehicle
 from kraft.text import suggestion

@@ -18,7 +18,7 @@ from support.evaluation import StoppingObserver, kept, refused
 from support.paths import ROOT
 
 from kraft.errors import Code, MissingDependency
-from kraft.evaluation import TrialRow, evaluate, evaluator, executors
+from kraft.evaluation import TrialRow, cluster, evaluate, evaluator
 from kraft_cli.main import main
 
 CELLS = (["turns", "slip"], ["kraft", "oneshot-openloop"])
@@ -117,7 +117,7 @@ def test_stopping_waits_for_what_runs_and_workers_of_another_version_are_refused
     stopped = run(dask, fake_trials.slow, 6, observer=StoppingObserver(3))
     assert not stopped.complete
     assert 3 <= len(stopped.rows) <= 3 + 4
-    monkeypatch.setattr(executors, "versions", lambda _: {"kraft": "99"})
+    monkeypatch.setattr(cluster, "versions", lambda _: {"kraft": "99"})
     with refused(("cluster", Code.MISMATCH)):
         run(dask, fake_trials.quick, 1)
 
@@ -136,7 +136,7 @@ def test_without_its_scheduler_an_evaluation_ends_and_goes_on_elsewhere(
 
 
 def test_an_address_where_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(executors, "ANSWER_TIMEOUT", 0.5)
+    monkeypatch.setattr(cluster, "ANSWER_TIMEOUT", 0.5)
     with refused(("cluster", Code.NOT_FOUND)):
         evaluate(["turns"], ["kraft"], 1, cluster="tcp://127.0.0.1:9")
     with refused(("cluster", Code.NOT_FOUND)):
@@ -160,7 +160,7 @@ def test_without_the_extra_it_ends_with_3_and_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingDependency):
-        executors.Cluster("tcp://127.0.0.1:9")
+        cluster.Cluster("tcp://127.0.0.1:9")
     assert main(["eval", "turns", "--cluster", "tcp://127.0.0.1:9", "--out", str(tmp_path / "out")]) == 3
     assert "pip install 'kraft[cluster]'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

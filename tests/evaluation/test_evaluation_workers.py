@@ -17,7 +17,7 @@ from support.evaluation import StoppingObserver, kept, places
 from support.paths import ROOT
 
 from kraft.errors import Defect, InputError, MissingDependency
-from kraft.evaluation import Evaluation, evaluate, evaluator, executors
+from kraft.evaluation import Evaluation, evaluate, evaluator, processes
 from kraft_cli.main import main
 
 
@@ -124,7 +124,7 @@ def test_a_simulator_that_does_not_load_is_a_missing_dependency(monkeypatch: pyt
 
 
 def test_workers_that_do_not_start_are_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(executors, "serve", dead_worker.ends)
+    monkeypatch.setattr(processes, "serve", dead_worker.ends)
     with pytest.raises(Defect, match="exit code 9"):
         evaluate(["turns"], ["kraft"], 1, 0, 1)
 
@@ -162,7 +162,7 @@ def test_workers_end_when_the_process_that_gave_the_jobs_is_killed(tmp_path: Pat
 
 def test_interrupts_stay_blocked_where_the_first_worker_starts() -> None:
     program = (
-        "import signal; from multiprocessing import resource_tracker; from kraft.evaluation.executors import _no_interrupt\n"
+        "import signal; from multiprocessing import resource_tracker; from kraft.evaluation.processes import _no_interrupt\n"
         "with _no_interrupt():\n"
         "    resource_tracker.getfd()\n"
         "    print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))\n"

@@ -17,8 +17,8 @@ import pytest
 
 from kraft.driving.messages import Cycle, PredictedMotion, Reference, ReferenceKind
 from kraft.errors import InputError, MissingDependency
-from kraft.evaluation import executors
-from kraft.evaluation.executors import Job, Log, StopRequested, perform
+from kraft.evaluation import cluster, job, processes
+from kraft.evaluation.job import Job, Log, StopRequested, perform
 from kraft.evaluation.journal import TrialRow
 from kraft.trial.measures import Step
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
@@ -33,23 +33,23 @@ def use(patch: pytest.MonkeyPatch, trial: Trial, *, inline: bool = False) -> Non
     """Run `trial` instead of the simulator: in worker processes, on a Dask cluster, or all `inline` in this process."""
     from kraft.evaluation import evaluator  # which workers do not need
 
-    patch.setattr(executors, "run_trial", trial)
-    patch.setattr(executors, "serve", partial(serve, trial))
-    patch.setattr(executors, "perform_checked", partial(perform_checked, trial))
+    patch.setattr(job, "run_trial", trial)
+    patch.setattr(processes, "serve", partial(serve, trial))
+    patch.setattr(cluster, "perform_checked", partial(perform_checked, trial))
     if inline:
         patch.setattr(evaluator, "Processes", Inline)
 
 
 def serve(trial: Trial, pipe: Connection) -> None:
     """Entry of a worker process; what is patched in the process that starts it is not patched here."""
-    executors.run_trial = trial
-    executors.serve(pipe)
+    job.run_trial = trial
+    processes.serve(pipe)
 
 
 def perform_checked(trial: Trial, task: Job, versions_there: Mapping[str, str]) -> TrialRow:
     """Run one trial on a Dask worker."""
-    executors.run_trial = trial
-    return executors.perform_checked(task, versions_there)
+    job.run_trial = trial
+    return cluster.perform_checked(task, versions_there)
 
 
 def quick(spec: TrialSpec) -> TrialResult:

@@ -17,13 +17,13 @@ from kraft.sysid.base_vehicle import for_commands, load_base_vehicle, with_recor
 from kraft.sysid.chains import whole_segment
 from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.dynamics import DiscreteModel
-from kraft.sysid.identify import identify_terms
 from kraft.sysid.model_choice import identify_car
 from kraft.sysid.parameters import parameters_of
 from kraft.sysid.prediction import constant_windows, window_errors
 from kraft.sysid.selection import is_shown
 from kraft.sysid.smoothing import thinned
 from kraft.sysid.structure import StructureSearch
+from kraft.sysid.terms import identify_terms
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import configured, load_vehicle
 from ompl_ext.vehicle import Vehicle

@@ -1,0 +1,105 @@
+"""Trials as jobs, and the interface of what executes them."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Final, Protocol, TypeAlias
+
+from kraft.driving.method import Method
+from kraft.errors import InputError, MissingDependency, MissingError
+from kraft.evaluation.journal import Key, TrialRow, trial_row
+from kraft.evaluation.replay import replay_of
+from kraft.scenario import Scenario
+from kraft.trial.result import TrialResult, TrialSpec
+from kraft.vehicles.load import load_vehicle
+from ompl_ext.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Job:
+    """Trial to run in the entry of that name.
+
+    `vehicle` is a resolved reference, because a vehicle is compiled in the process that uses it.
+    """
+
+    entry: str
+    scenario: Scenario
+    method: Method
+    vehicle: str
+    seed: int
+    realtime: bool = False
+
+    @property
+    def key(self) -> Key:
+        """Entry, method and seed."""
+        return self.entry, self.method.name, self.seed
+
+
+def perform(job: Job) -> TrialRow:
+    """Run a trial and reduce it to its row; any other exception than those below is recorded as a failed trial.
+
+    Raises:
+        InputError: if the scenario, method or vehicle is refused, which concerns the other trials too.
+        MissingError: if a part of the installation is missing.
+    """
+    began = time.perf_counter()
+    try:
+        spec = TrialSpec(job.scenario, job.method, _vehicle(job.vehicle), job.seed, job.realtime)
+        result = run_trial(spec)
+        wall = time.perf_counter() - began
+        return trial_row(job.key, result, wall, replay_of(spec, result))
+    except (InputError, MissingError):
+        raise
+    except Exception as error:  # a defect: recorded, and the other trials go on
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        return failed_row(job, f"{type(error).__name__}: {error} ({place.filename}:{place.lineno})")
+
+
+def failed_row(job: Job, error: str) -> TrialRow:
+    """Row of a failed trial."""
+    entry, method, seed = job.key
+    return TrialRow(entry=entry, scenario=job.scenario.name, method=method, seed=seed, outcome="failed", error=error)
+
+
+def run_trial(spec: TrialSpec) -> TrialResult:
+    """Run `kraft.trial.run_trial`, imported with the first trial because it loads the simulator; trees are kept.
+
+    Raises:
+        MissingDependency: if the simulator does not load.
+    """
+    try:
+        from kraft.trial.trial import run_trial
+    except (ImportError, OSError) as error:  # OSError: a shared library does not load
+        raise MissingDependency("the simulator (kraft.trial.trial) does not load") from error
+    return run_trial(spec, keep_trees=True)
+
+
+@cache
+def _vehicle(reference: str) -> Vehicle:
+    return load_vehicle(reference)
+
+
+StopRequested: TypeAlias = Callable[[], bool]
+Log: TypeAlias = Callable[[str], None]
+POLL: Final = 0.1
+"""Longest time until a request to stop takes effect, s."""
+
+
+class Executor(Protocol):
+    """Runs jobs in other processes."""
+
+    def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
+        """Yield the row of every job once, in the order in which trials end.
+
+        As soon as `stop_requested()` is true no further trial starts and the running ones are finished; closing the
+        iterator aborts them.  A trial whose worker dies is repeated on another worker, and fails if workers die
+        in it too often.
+
+        Raises:
+            InputError, MissingError: from a trial, see `perform`, or if no worker can be used.
+        """
+        ...

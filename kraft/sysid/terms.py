@@ -1,0 +1,198 @@
+"""Identification of a model with terms that may be switched off: the ones that the logs need, with their parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kraft.errors import Code, Diagnostic, InputError
+from kraft.logs.log import Log
+from kraft.sysid.checks import SolvedProblem, SteeringInMotion, warnings_of
+from kraft.sysid.data import usable_logs
+from kraft.sysid.interface import Identification, ModelTrial, Settings
+from kraft.sysid.optimiser import (
+    OnIteration,
+    estimate_uncertainty,
+    held_at_bounds,
+    ignore_iteration,
+)
+from kraft.sysid.parameters import vehicle_of
+from kraft.sysid.prediction import process_noise
+from kraft.sysid.problem import Point, residual_ratio
+from kraft.sysid.result import assemble_identification
+from kraft.sysid.selection import (
+    check_settings,
+    with_clock_offset,
+)
+from kraft.sysid.structure import HORIZON_SHARES, StructureSearch
+from kraft.sysid.structure_choice import NEGLIGIBLE_LOSS, Structure, best_of, chosen, is_near
+from kraft.vehicles.config import VehicleConfig
+from ompl_ext.vehicle import Vehicle
+
+BOTH_SIDES = ("phi_diff", "asymmetry", "yaw_offset")
+"""Parameters of a car that turns to one side do not tell from the steering curve and the slip."""
+WHEELBASE = "L"
+
+
+@dataclass(frozen=True)
+class ModelChoice:
+    """The chosen model and its parameters."""
+
+    vehicle: VehicleConfig
+    identification: Identification
+
+
+def has_terms(vehicle: VehicleConfig | Vehicle) -> bool:
+    """Whether the model has terms that identification may switch off."""
+    return isinstance(vehicle, VehicleConfig) and any(p.neutral is not None for p in vehicle.parameters.values())
+
+
+def identify_terms(
+    vehicle: VehicleConfig,
+    logs: Sequence[Log],
+    settings: Settings | None = None,
+    on_iteration: OnIteration = ignore_iteration,
+    simpler: VehicleConfig | None = None,
+) -> ModelChoice:
+    """Choose the terms of a model that the logs need, and estimate their parameters.
+
+    Args:
+        vehicle: a vehicle file in which some parameters have a neutral value.
+        logs: of `kraft.logs.reader.read_logs`.
+        settings: None for the defaults.
+        on_iteration: called after each iteration with the number of iterations and the cost.
+        simpler: a model with fewer states, which is chosen with the same terms if it predicts as well, and with its own
+            if it predicts better: the other one may have lags that the vehicle lacks.
+
+    Raises:
+        InputError: if the logs cannot be used, or a control never changes in them.
+    """
+    settings = settings or Settings()
+    check_settings(vehicle, settings)
+    usable = usable_logs(vehicle_of(vehicle), logs)
+    steered = SteeringInMotion.of(usable)
+    check_controls(usable, steered)
+    settings = with_clock_offset(settings, usable)
+    held = _shown_by_both_sides(vehicle, steered)
+    settings = replace(settings, frozen=(*settings.frozen, *held))
+    search = StructureSearch(vehicle, usable, settings, on_iteration)
+    best, final, path, trials = _searched(search)
+    if simpler is not None and steered.changes:
+        other = StructureSearch(simpler, usable, settings, on_iteration)
+        other.growth = search.growth
+        alike = other.alike(best)
+        final.iterations += other.iterations
+        trials.append(alike)
+        if set(best.terms) <= set(alike.terms) and is_near(alike, best_of(path), NEGLIGIBLE_LOSS):
+            vehicle, best = simpler, alike
+        elif not is_near(best, alike, NEGLIGIBLE_LOSS):
+            own = StructureSearch(simpler, usable, settings, on_iteration)
+            own.iterations = final.iterations
+            vehicle, trials = simpler, trials[:-1]
+            best, final, _, more = _searched(own)
+            trials += more
+    identification = _identified(best, final, usable, settings)
+    rows = tuple(_trial(s, chosen=s is best, horizon=settings.horizon) for s in trials)
+    notes = [f"not identified, because only turns to both sides show them: {', '.join(held)}"] if held else []
+    notes += _wheelbase_note(identification, settings)
+    return ModelChoice(vehicle, replace(identification, trials=rows, notes=(*identification.notes, *notes)))
+
+
+def _searched(
+    search: StructureSearch,
+) -> tuple[Structure, StructureSearch, list[Structure], list[Structure]]:
+    """The chosen structure with the search that fitted it last, the path to few terms, and all structures to report."""
+    path = search.path()
+    simplest = search.converged(chosen(path))
+    best = search.completed(simplest, path)
+    best = search.pruned(best) if search.is_exact(best) else best
+    best, final = search.in_long_windows(best, path)
+    trials = [simplest if s.terms == simplest.terms else s for s in path]
+    return best, final, path, trials + ([] if best is simplest else [best])
+
+
+def _wheelbase_note(identification: Identification, settings: Settings) -> list[str]:
+    """What to do about a wheelbase that nobody stated."""
+    known = identification.parameters.get(WHEELBASE)
+    if known is None or not known.frozen or WHEELBASE in settings.values:
+        return []
+    return [
+        f"poses do not show {WHEELBASE}, the wheelbase, but its ratio to the steering: it remains {known.value:g} m, "
+        "and wheel angles are those of such a car; state the measured one, with which predictions are the same"
+    ]
+
+
+def _shown_by_both_sides(vehicle: VehicleConfig, steered: SteeringInMotion) -> tuple[str, ...]:
+    """Parameters that are not identified because the logs show turns to one side only."""
+    return () if steered.both_sides else tuple(name for name in BOTH_SIDES if name in vehicle.parameters)
+
+
+def check_controls(logs: Sequence[Log], steered: SteeringInMotion) -> None:
+    """Refuse logs in which a control never changes: nothing shows what it does.
+
+    Raises:
+        InputError: with every such control.
+    """
+    problems = []
+    for k, name in enumerate(logs[0].controls):
+        values = np.concatenate([part.commands[:, k] for log in logs for part in log.parts])
+        expected = "expected drives in which it takes several values, left and right, or forward and coasting"
+        if np.ptp(values) <= 0.0:
+            problems.append(Diagnostic("logs", f"{name} is always {values[0]:g}", expected, code=Code.DATA))
+        elif name == "steering" and not steered.varies:
+            problem = "steering hardly changes while the vehicle moves"
+            problems.append(Diagnostic("logs", problem, expected, code=Code.DATA))
+    if problems:
+        raise InputError(problems)
+
+
+def _trial(structure: Structure, *, chosen: bool, horizon: float) -> ModelTrial:
+    times = [share * horizon for share in HORIZON_SHARES]
+    errors = {
+        t: float(t * np.nanmean(of_folds))
+        for t, of_folds in zip(times, structure.errors.T, strict=True)
+        if not np.isnan(of_folds).all()
+    }
+    name = structure.graph.problem.parameters.vehicle.name
+    return ModelTrial(name, structure.terms, structure.without, errors, chosen, structure.added)
+
+
+def _identified(best: Structure, search: StructureSearch, logs: Sequence[Log], settings: Settings) -> Identification:
+    """Result with the parameters of a structure; the smoothed states are those of its windows."""
+    graph, optimum = best.graph, best.optimum
+    p, problem = graph.problem.parameters, graph.problem
+    controls = problem.actuators.mean(optimum.point.rho)[0]
+    point = Point(graph.trajectories(optimum.point), controls, optimum.point.rho)
+    scale = math.sqrt(residual_ratio(problem, point))
+    walks = process_noise(p.vehicle, search.growth, settings.horizon)
+    default = problem.noise.process
+    process = np.array([max(walks.get(n, 0.0), d) for n, d in zip(p.vehicle.state, default, strict=True)])
+    noise = replace(problem.noise, threshold=max(scale, 1.0) * problem.noise.threshold, process=process)
+    problem = replace(problem, noise=noise)
+    held = held_at_bounds(optimum.factors, p.low - point.rho, p.high - point.rho)
+    uncertainty = estimate_uncertainty(optimum.factors, p.free, held)
+    solution = SolvedProblem(
+        problem, replace(optimum, point=point), uncertainty, graph.smoothed, [log.name for log in logs],
+        not settings.noise, search.iterations,
+    )  # fmt: skip
+    off = tuple(
+        spec.name for spec in p.specs[: p.model_size] if spec.neutral is not None and spec.name not in best.terms
+    )
+    unneeded = [name for name in off if name not in settings.frozen]
+    missing = [name for name in search.auxiliary if name not in best.terms]
+    notes = [f"terms that the logs do not need: {', '.join((*unneeded, *missing))}"] if unneeded or missing else []
+    found = assemble_identification(solution, warnings_of(solution, windows=True), tuple(notes))
+    found = replace(
+        found,
+        parameters={
+            name: replace(value, variation=search.variation.total.get(name, 0.0))
+            for name, value in found.parameters.items()
+            if name not in missing
+        },
+        auxiliary=tuple(name for name in found.auxiliary if name not in missing),
+    )
+    others = [dict(zip(p.names, map(float, rho), strict=True)) for rho in best.others]
+    return replace(found, off=off, without_log=tuple(others) if len(others) == len(logs) else ())
