@@ -162,17 +162,25 @@ class MissingAsset(MissingError):
 
 
 class NegativeResult(KraftError):
-    """The computation succeeded with a negative result."""
+    """The computation succeeded with a negative result.
+
+    Attributes:
+        reason: why, in one sentence.
+        diagnostics: problems that led to it, with their places.
+    """
+
+    def __init__(self, reason: str, diagnostics: Iterable[Diagnostic] = ()) -> None:
+        super().__init__(reason)
+        self.reason = reason
+        self.diagnostics = tuple(dict.fromkeys(diagnostics))
 
 
 class Unreachable(NegativeResult):
     """No path leads to a goal. ``diagnostics`` names the goals and where they are written."""
 
-    diagnostics: tuple[Diagnostic, ...]
-
     def __init__(self, diagnostics: Iterable[Diagnostic]) -> None:
-        self.diagnostics = tuple(dict.fromkeys(diagnostics))
-        super().__init__(self.diagnostics)
+        found = tuple(diagnostics)
+        super().__init__(found[0].problem, found)
 
     def __str__(self) -> str:
         return "\n".join(str(d) for d in self.diagnostics)

@@ -15,7 +15,7 @@ import typer
 from kraft.errors import Code, Defect, Diagnostic, InputError, KraftError, MissingError, NegativeResult, Unreachable
 from kraft.files import EXPECTED
 from kraft_cli.exit_status import ExitStatus
-from kraft_cli.terminal import Terminal
+from kraft_cli.terminal import Terminal, diagnostic_json
 from ompl_ext.cache_error import CacheError
 
 FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -85,7 +85,7 @@ def _explained(terminal: Terminal, error: Exception) -> ExitStatus:
     if isinstance(error, InputError | Unreachable):
         for diagnostic in error.diagnostics:
             terminal.problem(str(_with_option(diagnostic)))
-        return ExitStatus.INVALID if isinstance(error, InputError) else ExitStatus.NEGATIVE
+        return ExitStatus.INVALID if isinstance(error, InputError) else _negative(terminal, error)
     if isinstance(error, typer.TyperException):
         return _explain_usage(terminal, error)
     if isinstance(error, CacheError):
@@ -95,13 +95,21 @@ def _explained(terminal: Terminal, error: Exception) -> ExitStatus:
         terminal.error(str(error))
         _explain_causes(terminal, error)
         if isinstance(error, NegativeResult):
-            return ExitStatus.NEGATIVE
+            return _negative(terminal, error)
         return ExitStatus.MISSING if isinstance(error, MissingError) else ExitStatus.INTERNAL
     terminal.error(f"this is a defect in kraft: {type(error).__name__}: {error}")
     _explain_causes(terminal, error)
     if not terminal.traceback:
         terminal.problem("run it again with --traceback and report what it prints")
     return ExitStatus.INTERNAL
+
+
+def _negative(terminal: Terminal, error: NegativeResult) -> ExitStatus:
+    """Print the JSON object of a result that is negative before there is anything else to print."""
+    if terminal.json_schema:
+        problems = [diagnostic_json(_with_option(diagnostic)) for diagnostic in error.diagnostics]
+        terminal.json(terminal.json_schema, {"reason": error.reason, "problems": problems})
+    return ExitStatus.NEGATIVE
 
 
 def _with_option(diagnostic: Diagnostic) -> Diagnostic:

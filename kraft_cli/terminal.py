@@ -6,8 +6,10 @@ import json
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, TextIO
+
+from kraft.errors import Diagnostic
 
 
 def _stdout() -> TextIO:
@@ -27,6 +29,7 @@ class Terminal:
     quiet: bool = False
     verbose: bool = False
     traceback: bool = False
+    json_schema: str = ""  # with --json; its object also says why there is no result
 
     @property
     def interactive(self) -> bool:
@@ -66,6 +69,11 @@ class Terminal:
     def error(self, text: str) -> None:
         """Print the error that ends the command."""
         print(f"{_styled('error:', '1;31', self.err)} {text}", file=self.err)
+
+
+def diagnostic_json(diagnostic: Diagnostic) -> dict[str, Any]:
+    """Problem as in the JSON objects: its place and what is wrong, without the flag for arguments of functions."""
+    return {key: value for key, value in asdict(diagnostic).items() if key != "argument"}
 
 
 def _styled(text: str, code: str, stream: TextIO) -> str:

@@ -13,13 +13,12 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from kraft.plot.labels import Label, draw_labels
 from kraft.plot.page import Curve, Frame, LegendEntry, Panel, draw_legend, draw_panel, draw_title, lay_out, quantity
 from kraft.plot.scene import (
-    Label,
     PoseTrajectory,
     draw_contingency,
     draw_goal,
-    draw_labels,
     draw_obstacle,
     draw_plan,
     draw_start,

@@ -19,6 +19,7 @@ from matplotlib.ticker import MaxNLocator
 
 from kraft.driving.messages import Cycle, ReferenceKind, as_driven
 from kraft.planning.workspace import workspace_of
+from kraft.plot.labels import Label, draw_labels
 from kraft.plot.page import (
     HELD,
     Curve,
@@ -31,17 +32,7 @@ from kraft.plot.page import (
     lay_out,
     quantity,
 )
-from kraft.plot.scene import (
-    Label,
-    PoseTrajectory,
-    arrowheads,
-    draw_goal,
-    draw_labels,
-    draw_obstacle,
-    draw_start,
-    draw_workspace,
-    outlines,
-)
+from kraft.plot.scene import PoseTrajectory, arrowheads, draw_goal, draw_obstacle, draw_start, draw_workspace, outlines
 from kraft.plot.style import (
     CYCLE,
     DASHED,

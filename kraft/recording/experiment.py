@@ -9,7 +9,6 @@ then follows the next drive, with what this one will have shown.
 from __future__ import annotations
 
 import math
-from bisect import bisect
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -18,9 +17,11 @@ import numpy as np
 
 from kraft.driving.vehicle_model import VehicleModel, model_of
 from kraft.errors import Code, InputError, NegativeResult
+from kraft.recording.area import PATH_STEP
+from kraft.recording.element import Element, in_words, library, sampled
 from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, Manoeuvre, manoeuvre
 from kraft.sysid.information import STEP, Knowledge
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Matrix
 
 ELEMENTS_MAX: Final = 6
 """Most elements of a drive: a person has to remember it."""
@@ -34,12 +35,8 @@ MANY: Final = 100.0
 """Times that all random drives are repeated where the noise of their poses shall not matter."""
 RANDOM_DRIVES: Final = 20
 """Random drives whose prediction is to become good."""
-SAMPLE: Final = 0.1
-"""Time between two commands of a ramp or a sine, s."""
 CHECKS: Final = 8
 """Best exchanges of an element that are tried to fit."""
-PATH_STEP: Final = 0.1
-"""Time between two poses whose place is checked, s."""
 SHORTEST: Final = 4.0
 """Least duration of a random drive, however small the area, s."""
 SHOWN: Final = 0.9
@@ -49,24 +46,6 @@ UNSEEN: Final = 0.9999
 
 Room = Callable[[int, Matrix], float]
 """Time for which the predicted path (n, 3) of a drive has room, s, poses `PATH_STEP` apart; drives count from 1."""
-
-
-@dataclass(frozen=True)
-class Element:
-    """Commands for some time, as shares of the largest drive forward (backward if negative) and turn to the left.
-
-    Without a period they change linearly from the first to the last; with one they swing between the two as a sine.
-    """
-
-    duration: float
-    first: tuple[float, float]
-    last: tuple[float, float]
-    period: float = 0.0
-
-
-def hold(drive: float, turn: float, duration: float) -> Element:
-    """Constant commands."""
-    return Element(duration, (drive, turn), (drive, turn))
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,120 +203,3 @@ def _until(drive: Manoeuvre, end: float) -> Manoeuvre:
 
 def _fits_in_time(elements: Sequence[Element]) -> bool:
     return sum(e.duration for e in elements) <= DURATION - REST - COASTING + 1e-9
-
-
-def sampled(element: Element) -> Iterator[tuple[float, float, float]]:
-    """Time since its beginning, drive and turn of each of its commands."""
-    if element.first == element.last:
-        yield 0.0, *element.first
-        return
-    first, last = np.array(element.first), np.array(element.last)
-    for k in range(round(element.duration / SAMPLE)):
-        time = (k + 0.5) * SAMPLE
-        share = 0.5 + 0.5 * math.sin(math.tau * time / element.period) if element.period else time / element.duration
-        drive, turn = first + share * (last - first)
-        yield k * SAMPLE, float(drive), float(turn)
-
-
-def library(model: VehicleModel) -> tuple[Element, ...]:
-    """Elements that a vehicle can drive: those backwards and with brakes only if it does so."""
-    drives, turns = (0.2, 0.4, 0.6, 0.8, 1.0), (0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0)
-    found = [hold(u, s, d) for u in drives for s in turns for d in (1.0, 2.0, 4.0)]
-    found += [hold(0.0, s, d) for s in (0.0, 0.6, -0.6) for d in (1.0, 2.0)]
-    for s in (0.0, 0.5, -0.5, 1.0, -1.0):
-        found += [Element(d, (a, s), (b, s)) for a, b in ((0.0, 1.0), (1.0, 0.0)) for d in (4.0, 8.0)]
-    found += [Element(6.0, (u, a), (u, -a)) for u in (0.3, 0.6, 1.0) for a in (1.0, -1.0)]
-    found += [Element(6.0, (u, a), (u, -a), p) for u in drives[1:] for a in (0.5, 1.0) for p in (1.0, 2.0, 4.0)]
-    if _reverses(model):
-        found += [hold(-u, s, d) for u in (0.5, 1.0) for s in (0.0, 0.8, -0.8) for d in (2.0, 4.0)]
-    if _brakes(model):
-        found += [hold(-u, 0.0, d) for u in (0.3, 1.0) for d in (0.5, 1.0)]
-    return tuple(found)
-
-
-def _reverses(model: VehicleModel) -> bool:
-    state = model.advance(np.zeros(len(model.vehicle.state)), model.drive_control(-1.0, 0.0), 2.0)
-    return float(state[model.v]) < -0.02 * model.vehicle.top_speed
-
-
-def _brakes(model: VehicleModel) -> bool:
-    moving = model.advance(np.zeros(len(model.vehicle.state)), model.drive_control(0.8, 0.0), 2.0)
-    speeds = [float(model.advance(moving, model.drive_control(u, 0.0), 0.3)[model.v]) for u in (-1.0, 0.0)]
-    return speeds[0] < speeds[1] - 0.02 * model.vehicle.top_speed
-
-
-TURNS: Final = np.radians(np.arange(0.0, 90.0, 5.0))
-"""Headings at which a path is laid into an area."""
-MARGIN_PER_METRE: Final = 0.1
-"""Additional space for each metre from the start, because the vehicle deviates from its model."""
-
-
-@dataclass(frozen=True)
-class Area:
-    """Free rectangle, m."""
-
-    length: float
-    width: float
-
-    def holds(self, path: Matrix) -> bool:
-        """Whether a path (n, 3) fits into it at some heading, with the margin."""
-        long, short = max(self.length, self.width), min(self.length, self.width)
-        return any(max(sides) <= long and min(sides) <= short for sides in _sides(path))
-
-    def room(self, _: int, path: Matrix) -> float:
-        """Time for which a path (n, 3) of poses `PATH_STEP` apart fits into it, s."""
-        fits = bisect(range(2, len(path) + 1), 0, key=lambda n: not self.holds(path[:n]))
-        return PATH_STEP * fits
-
-
-def needed_area(path: Matrix) -> Area:
-    """Smallest rectangle that a path (n, 3) needs, with the margin."""
-    length, width = min(((max(sides), min(sides)) for sides in _sides(path)), key=math.prod)
-    return Area(length, width)
-
-
-def _sides(path: Matrix) -> Iterator[tuple[float, float]]:
-    """Sides of the rectangle around a path at each heading, m."""
-    margin = MARGIN_PER_METRE * np.hypot(path[:, 0], path[:, 1])
-    for turn in TURNS:
-        c, s = math.cos(turn), math.sin(turn)
-        x, y = c * path[:, 0] + s * path[:, 1], c * path[:, 1] - s * path[:, 0]
-        yield float(np.ptp([x + margin, x - margin])), float(np.ptp([y + margin, y - margin]))
-
-
-def extent(poses: Sequence[Floats]) -> Area:
-    """Rectangle along the axes that holds the poses (n, 3) of all logs."""
-    both = np.concatenate([each[:, :2] for each in poses])
-    length, width = (both.max(axis=0) - both.min(axis=0)).tolist()
-    return Area(length, width)
-
-
-def in_words(elements: Sequence[Element], model: VehicleModel) -> tuple[str, ...]:
-    """What to do, one phrase for each element, from standstill to coasting."""
-    names = tuple(model.vehicle.controls)
-    joined: list[Element] = []
-    for element in elements:
-        if joined and element.first == element.last and joined[-1] == replace(element, duration=joined[-1].duration):
-            joined[-1] = replace(element, duration=joined[-1].duration + element.duration)
-        else:
-            joined.append(element)
-    found = [_phrase(element, names, model) for element in joined]
-    *_, (_, _, turn) = sampled(elements[-1])  # which is held while the vehicle coasts
-    return (*found, f"{_constant(names, model.drive_control(0.0, turn))} for {COASTING:g} s")
-
-
-def _phrase(element: Element, names: Sequence[str], model: VehicleModel) -> str:
-    first, last = model.drive_control(*element.first), model.drive_control(*element.last)
-    if element.first == element.last:
-        return f"{_constant(names, first)} for {element.duration:g} s"
-    changing = [k for k in range(len(names)) if abs(last[k] - first[k]) > 1e-9]
-    swing = f" as a sine with a period of {element.period:g} s" if element.period else " evenly"
-    moved = ", ".join(f"{names[k]} {'between' if element.period else 'from'} {first[k]:.2g} "
-                      f"{'and' if element.period else 'to'} {last[k]:.2g}" for k in changing)  # fmt: skip
-    held = [k for k in range(len(names)) if k not in changing]
-    constant = f", {', '.join(f'{names[k]} {first[k]:.2g}' for k in held)}" if held else ""
-    return f"{moved}{swing}{constant}, for {element.duration:g} s"
-
-
-def _constant(names: Sequence[str], control: Floats) -> str:
-    return ", ".join(f"{name} {value + 0.0:.2g}" for name, value in zip(names, control.tolist(), strict=True))

@@ -25,6 +25,7 @@ from kraft.files import check_writable, new_folder, write_csv, write_json
 from kraft.planning.search import check_seed
 from kraft.planning.workspace import workspace_of
 from kraft.provenance import SIMULATION, plain, plain_hash, versions
+from kraft.recording.area import MARGIN_PER_METRE, PATH_STEP
 from kraft.recording.manoeuvres import COMMAND_RATE, NAMES, Manoeuvre, manoeuvre
 from kraft.scenario import Box, Scenario, Start
 from kraft.simulation.true_world import true_robot, world_of
@@ -34,14 +35,10 @@ from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle
 
-STEP: Final = 0.1
-"""Time between two predicted poses, s."""
 CANDIDATES: Final = 300
 """Number of starts that are tried: the first that is free for the whole manoeuvre, else the one free for longest."""
 MARGIN: Final = 0.25
 """Required clearance at the start, m."""
-MARGIN_PER_METRE: Final = 0.1
-"""Additional clearance for each metre driven, because the car deviates from its model."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +63,7 @@ class FreeSpace:
         return self._exact.distance(x, y, theta)
 
     def place(self, path: Matrix, generator: np.random.Generator) -> Place:
-        """Choose the start of a predicted path of poses (m, 3) from the origin, `STEP` apart."""
+        """Choose the start of a predicted path of poses (m, 3) from the origin, `PATH_STEP` apart."""
         travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
         required = MARGIN + MARGIN_PER_METRE * travelled
         (x0, x1), (y0, y1) = self._bounds.x, self._bounds.y
@@ -77,7 +74,7 @@ class FreeSpace:
             time = self._free_time(moved(path, start), required, best.time)
             if time > best.time:
                 best = Place(start, time)
-            if time >= STEP * (len(path) - 1):
+            if time >= PATH_STEP * (len(path) - 1):
                 break
         return best
 
@@ -87,20 +84,20 @@ class FreeSpace:
         x, y = poses[:, 0], poses[:, 1]
         outside = np.minimum(np.minimum(x - x0, x1 - x), np.minimum(y - y0, y1 - y)) < required
         inside = int(np.argmax(outside)) if outside.any() else len(poses)
-        if STEP * (inside - 1) <= known:
+        if PATH_STEP * (inside - 1) <= known:
             return known
         for k in range(inside):
             if self._exact.distance(*map(float, poses[k])) < required[k]:
-                return STEP * (k - 1)
-        return STEP * (inside - 1)
+                return PATH_STEP * (k - 1)
+        return PATH_STEP * (inside - 1)
 
 
 def predicted(model: VehicleModel, manoeuvre: Manoeuvre) -> Matrix:
-    """Poses (m, 3) from the origin, `STEP` apart, predicted by the model."""
+    """Poses (m, 3) from the origin, `PATH_STEP` apart, predicted by the model."""
     state = np.zeros(len(model.vehicle.state))
     poses = [(0.0, 0.0, 0.0)]
-    for k in range(round(manoeuvre.end / STEP)):
-        state = model.advance(state, manoeuvre.control_at((k + 0.5) * STEP), STEP)
+    for k in range(round(manoeuvre.end / PATH_STEP)):
+        state = model.advance(state, manoeuvre.control_at((k + 0.5) * PATH_STEP), PATH_STEP)
         poses.append((float(state[model.x]), float(state[model.y]), float(state[model.theta])))
     return np.array(poses)
 
@@ -169,7 +166,7 @@ class Recorder:
         self._vehicle = RecordedVehicle.of(vehicle, true_robot(scenario, vehicle).robot)
 
     def place(self, number: int, path: Matrix) -> Place:
-        """Start of run `number` if it is to drive a path of poses (m, 3) from the origin, `STEP` apart."""
+        """Start of run `number` if it is to drive a path of poses (m, 3) from the origin, `PATH_STEP` apart."""
         return self._free_space.place(path, self._generator(number))
 
     def _generator(self, number: int) -> np.random.Generator:

@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from kraft_cli.terminal import Terminal
+
 ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A bundled name or the path of a file.")]
 PlanningModel = Annotated[
     str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Model to plan with, instead of the scenario's.")
@@ -13,4 +15,14 @@ PlanningModel = Annotated[
 Set = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace the value of a key of the scenario.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+
+
+def _as_json(context: typer.Context, wanted: bool) -> bool:
+    """Tell the terminal which object the command prints."""
+    if wanted:
+        terminal: Terminal = context.obj
+        terminal.json_schema = f"kraft.{context.command_path.split()[1]}/1"
+    return wanted
+
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.", callback=_as_json)]

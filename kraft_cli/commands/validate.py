@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -11,7 +10,7 @@ import typer
 from kraft_cli.boundary import explain
 from kraft_cli.commands.options import Json
 from kraft_cli.exit_status import ExitStatus
-from kraft_cli.terminal import Terminal
+from kraft_cli.terminal import Terminal, diagnostic_json
 
 if TYPE_CHECKING:
     from kraft_cli.work.validate import FileReport
@@ -59,7 +58,6 @@ def _print_problems(terminal: Terminal, reports: Sequence[FileReport]) -> None:
 
 
 def _file_json(report: FileReport) -> dict[str, Any]:
-    """File with its problems, without `argument`, which is never true for a file."""
-    problems = [{key: value for key, value in asdict(d).items() if key != "argument"} for d in report.problems]
+    problems = [diagnostic_json(problem) for problem in report.problems]
     defect = None if report.defect is None else f"{type(report.defect).__name__}: {report.defect}"
     return {"file": report.file, "kind": report.kind, "problems": problems, "defect": defect, "valid": report.valid}

@@ -25,7 +25,8 @@ from ompl_ext.arrays import Matrix
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from kraft.recording.experiment import Area, PlannedDrive
+    from kraft.recording.area import Area
+    from kraft.recording.experiment import PlannedDrive
     from kraft.recording.manoeuvres import Manoeuvre
     from kraft.recording.recorder import Place, Recorder
     from kraft.scenario import Scenario
@@ -96,7 +97,8 @@ def next_drives(
         InputError: if no drive fits into the area, or the commands cannot be written.
         NegativeResult: if no drive shows any parameter.
     """
-    from kraft.recording.experiment import Area, extent, planned_drives
+    from kraft.recording.area import Area, extent
+    from kraft.recording.experiment import planned_drives
     from kraft.recording.manoeuvres import write_commands
     from kraft.sysid.information import known_after
 
@@ -237,7 +239,7 @@ def next_json(found: NextDrives) -> dict[str, Any]:
 
 
 def _json(drive: PlannedDrive, file: Path | None) -> dict[str, Any]:
-    from kraft.recording.experiment import needed_area
+    from kraft.recording.area import needed_area
 
     needed = needed_area(drive.path)
     return {
@@ -254,7 +256,7 @@ def _json(drive: PlannedDrive, file: Path | None) -> dict[str, Any]:
 
 def next_lines(found: NextDrives) -> list[str]:
     """Recommended drives for a person."""
-    from kraft.recording.experiment import needed_area
+    from kraft.recording.area import needed_area
     from kraft.recording.manoeuvres import REST
 
     size = f"{found.area.length:.2g} m x {found.area.width:.2g} m"

@@ -171,7 +171,7 @@ def run_sysid(
     except InputError as error:  # a problem of the logs: everything else was checked
         _draw_logs(request, base, split, error)
         report_problems(error, warn)
-        raise NegativeResult("the parameters cannot be identified from these logs") from None
+        raise NegativeResult("the parameters cannot be identified from these logs", error.diagnostics) from None
     unknown = _unknown_to_planning(request, identification)
     excluded = () if has_terms(base.definition) else _excluded_note(base, settings)
     base, taken_over = with_recorded(base, logs.logs) if request.out is not None else (base, "")

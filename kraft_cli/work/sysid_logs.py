@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from kraft.errors import InputError, NegativeResult
+from kraft.errors import Diagnostic, InputError, NegativeResult
 from kraft.logs.discover import discover
 from kraft.logs.log import Log, LogSet
 from kraft.logs.mapping import Mapping, load_mapping
@@ -62,7 +62,7 @@ def read_sysid_logs(
         if not candidates:
             raise
         report_problems(error, warn)
-        raise _none_usable(len(candidates)) from None
+        raise _none_usable(len(candidates), error.diagnostics) from None
     long = screen_logs(found.logs)
     _report_logs(long.logs, info, detail)
     for shortened in long.shortened:
@@ -70,7 +70,7 @@ def read_sysid_logs(
     for problem in (*found.problems, *long.problems):
         warn(f"left out: {problem}")
     if not long.logs:
-        raise _none_usable(len(discover(paths, controls, mapping)[0]))
+        raise _none_usable(len(discover(paths, controls, mapping)[0]), (*found.problems, *long.problems))
     return LogSet(long.logs, (*found.problems, *long.problems))
 
 
@@ -98,8 +98,9 @@ def _is_log_of(place: Path, controls: Sequence[str], mapping: Mapping) -> bool:
     return True
 
 
-def _none_usable(count: int) -> NegativeResult:
-    return NegativeResult("the only log cannot be used" if count == 1 else f"none of the {count} logs can be used")
+def _none_usable(count: int, problems: Sequence[Diagnostic]) -> NegativeResult:
+    reason = "the only log cannot be used" if count == 1 else f"none of the {count} logs can be used"
+    return NegativeResult(reason, problems)
 
 
 def report_problems(error: InputError, warn: MessageSink) -> None:

@@ -174,6 +174,11 @@ def test_a_goal_that_no_path_leads_to_is_reported_before_the_drive(
             "expected a goal that the vehicle can get to\n"
         ))  # fmt: skip
         assert not Path("out").exists()
+        assert main([*command, "short.yaml", "--out", "out", "--json"]) == 1
+        content = json.loads(capsys.readouterr().out)
+        assert content["schema"] == f"kraft.{command[0]}/1"
+        assert content["reason"] == content["problems"][0]["problem"]
+        assert (content["problems"][0]["line"], content["problems"][0]["column"]) == (6, 7)
 
 
 def test_every_place_that_is_taken_is_reported_before_the_drive(capsys: pytest.CaptureFixture[str]) -> None:

@@ -93,8 +93,12 @@ def test_a_log_of_a_few_poses_is_left_out_and_counted_so(folder: Path, capsys: p
 def test_when_all_logs_have_a_few_poses_it_ends_with_1(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for run in (folder / "logs").iterdir():
         shorten(run, 4, 9)
-    assert main(["sysid", "logs", "--model", "mushr-lag"]) == 1
-    assert said(capsys)[-1] == "error: none of the 8 logs can be used"
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--json"]) == 1
+    out, err = capsys.readouterr()
+    assert err.splitlines()[-1] == "error: none of the 8 logs can be used"
+    content = json.loads(out)
+    assert (content["schema"], content["reason"]) == ("kraft.sysid/1", "none of the 8 logs can be used")
+    assert [Path(problem["file"]).name for problem in content["problems"]] == [f"run_{k:02d}" for k in range(1, 9)]
 
 
 def test_held_out_logs_that_are_too_short_leave_the_fit(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

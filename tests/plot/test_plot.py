@@ -17,17 +17,9 @@ from PIL import Image
 from kraft.errors import Code, InputError
 from kraft.plot import PlanPicture, compose, plot_plan
 from kraft.plot import style as output
+from kraft.plot.labels import Label, draw_labels
 from kraft.plot.page import Frame, flow_rows
-from kraft.plot.scene import (
-    EDGES_MAX,
-    Label,
-    PoseTrajectory,
-    arrowheads,
-    draw_labels,
-    outlines,
-    tree_lines,
-    widest_place,
-)
+from kraft.plot.scene import EDGES_MAX, PoseTrajectory, arrowheads, outlines, tree_lines, widest_place
 from kraft.plot.style import LABEL, plot_style, shortened, text_width
 from kraft.scenario import Bounds, Box, Circle, Goal, OccupancyMap, Polygon, Start, Task, load_scenario
 from kraft.vehicles.benchmark import BENCHMARK

@@ -14,16 +14,9 @@ from kraft.driving.vehicle_model import model_of
 from kraft.errors import Code, InputError, NegativeResult
 from kraft.logs.log import Log, Part
 from kraft.recording import experiment
-from kraft.recording.experiment import (
-    Area,
-    Element,
-    PlannedDrive,
-    extent,
-    in_words,
-    library,
-    planned_drives,
-    sampled,
-)
+from kraft.recording.area import Area, extent
+from kraft.recording.element import Element, in_words, library, sampled
+from kraft.recording.experiment import PlannedDrive, planned_drives
 from kraft.recording.manoeuvres import (
     COASTING,
     DURATION,

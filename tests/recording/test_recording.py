@@ -11,18 +11,9 @@ import pytest
 
 from kraft.errors import Code, InputError
 from kraft.planning.workspace import workspace_of
+from kraft.recording.area import PATH_STEP
 from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, Manoeuvre, ToControl, manoeuvre
-from kraft.recording.recorder import (
-    COMMAND_RATE,
-    MARGIN,
-    STEP,
-    STOP,
-    FreeSpace,
-    Recorder,
-    Recording,
-    moved,
-    write_recording,
-)
+from kraft.recording.recorder import COMMAND_RATE, MARGIN, STOP, FreeSpace, Recorder, Recording, moved, write_recording
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
 from kraft.simulation.true_world import true_robot
 from kraft.vehicles.load import RecordedVehicle, load_vehicle
@@ -160,7 +151,7 @@ def test_a_start_leaves_more_room_with_each_metre_that_will_have_been_driven(see
     room, metres = FreeSpace(TRAINING, MUSHR), np.arange(0.0, 8.05, 0.1)
     path = np.column_stack([metres, 0 * metres, 0 * metres])
     place = room.place(path, np.random.default_rng(seed))
-    assert place.time == pytest.approx(STEP * (len(path) - 1))
+    assert place.time == pytest.approx(PATH_STEP * (len(path) - 1))
     driven = moved(path, place.start)
     spare = np.array([room.clearance(*pose) for pose in driven]) - (0.25 + 0.1 * metres)
     (x0, x1), (y0, y1) = TRAINING.bounds.x, TRAINING.bounds.y
