@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from kraft.scenario import Scenario, load_scenario
-from kraft.scenario.loader import Start
+from kraft.scenario.scenario import Start
 from kraft.simulation.camera import Camera
 from kraft.simulation.world import World
 from ompl_ext.arrays import Floats, Matrix

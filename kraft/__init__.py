@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from kraft.logs.reader import read_logs as read_logs
     from kraft.planning.plan import PlanResult as PlanResult
     from kraft.planning.plan import plan as plan
-    from kraft.scenario.loader import Scenario as Scenario
     from kraft.scenario.loader import load_scenario as load_scenario
+    from kraft.scenario.scenario import Scenario as Scenario
     from kraft.sysid.identify import identify as identify
     from kraft.sysid.interface import Identification as Identification
     from kraft.trial.result import Outcome as Outcome

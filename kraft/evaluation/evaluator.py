@@ -22,6 +22,7 @@ from kraft.evaluation.suite import ScenarioLike, Settings, Sweeps, entries_of
 from kraft.evaluation.summary import Summary, summarise
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
+from kraft.text import counted
 from ompl_ext.cores import usable_cores
 
 
@@ -109,6 +110,7 @@ def evaluate(
         scenarios, methods, trials, seed, jobs, out, suite=suite, settings=settings, vary=vary, vehicle=vehicle,
         resume=resume, realtime=realtime,
     )  # fmt: skip
+    _warn_of_far_cameras(experiment, observer.log)
     _ensure_compiled(experiment, observer.log)
     experiment = replace(experiment, bounds=_least_times(experiment))
     executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
@@ -161,6 +163,16 @@ def check_arguments(
     problems.check()
     assert experiment is not None, "every problem was raised"
     return experiment
+
+
+def _warn_of_far_cameras(experiment: Experiment, log: Log) -> None:
+    """Log the first entry whose camera is too far away, and how many more there are."""
+    entries = {cell.entry.name: cell.scenario for cell in experiment.cells}
+    found = {name: text for name, scenario in entries.items() if (text := scenario.far_camera())}
+    if found:
+        name, text = next(iter(found.items()))
+        more = f"; so it is in {counted(len(found) - 1, 'other entry')}" if len(found) > 1 else ""
+        log(f"warning: {name}: {text}{more}")
 
 
 def _ensure_compiled(experiment: Experiment, log: Log) -> None:

@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from kraft.scenario.geometry import Obstacle as Obstacle
     from kraft.scenario.geometry import OccupancyMap as OccupancyMap
     from kraft.scenario.geometry import Polygon as Polygon
-    from kraft.scenario.loader import Goal as Goal
-    from kraft.scenario.loader import Scenario as Scenario
-    from kraft.scenario.loader import Start as Start
-    from kraft.scenario.loader import Task as Task
     from kraft.scenario.loader import load_scenario as load_scenario
     from kraft.scenario.loader import parse_scenario as parse_scenario
     from kraft.scenario.planning import Planning as Planning
     from kraft.scenario.planning import Safety as Safety
+    from kraft.scenario.scenario import Goal as Goal
+    from kraft.scenario.scenario import Scenario as Scenario
+    from kraft.scenario.scenario import Start as Start
+    from kraft.scenario.scenario import Task as Task
     from kraft.scenario.schema import Bounds as Bounds
     from kraft.scenario.schema import Score as Score
     from kraft.scenario.schema import Sensing as Sensing
@@ -33,8 +33,9 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "geometry": ["Box", "Circle", "Obstacle", "OccupancyMap", "Polygon"],
-        "loader": ["Goal", "Scenario", "Start", "Task", "load_scenario", "parse_scenario"],
+        "loader": ["load_scenario", "parse_scenario"],
         "planning": ["Planning", "Safety"],
+        "scenario": ["Goal", "Scenario", "Start", "Task"],
         "schema": ["Bounds", "Score", "Sensing", "Trial"],
         "truth": ["Truth"],
     },

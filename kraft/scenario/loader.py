@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,11 @@ from kraft.config import bundled
 from kraft.config.document import Document, Value
 from kraft.config.overrides import Override, overridden, overrides_of
 from kraft.config.schema import check, part
-from kraft.config.source import KeyPath, Source
+from kraft.config.source import KeyPath
 from kraft.config.yaml_reader import parse_document, read_document
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.scenario.geometry import Box, Circle, Obstacle, OccupancyMap, Polygon, Vec2, read_map, signed_area
-from kraft.scenario.planning import Planning
+from kraft.scenario.geometry import Box, Circle, Obstacle, OccupancyMap, Polygon, read_map, signed_area
+from kraft.scenario.scenario import Goal, Scenario, Start
 from kraft.scenario.schema import (
     CAMERA_HEIGHT,
     Bounds,
@@ -29,67 +28,10 @@ from kraft.scenario.schema import (
     ScenarioFile,
     Sensing,
     StartFile,
-    Trial,
 )  # fmt: skip
 from kraft.scenario.truth import Truth
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from kraft.vehicles.true_robot import with_files
-
-
-@dataclass(frozen=True)
-class Start:
-    """Pose (m, rad) and forward speed (m/s) at time 0."""
-
-    x: float
-    y: float
-    heading: float
-    speed: float = 0.0
-
-
-@dataclass(frozen=True)
-class Goal:
-    """Goal region: a disc, and optionally a heading and limits of other components of the state; SI units.
-
-    ``heading`` and ``heading_tolerance`` are both given or both None.
-    """
-
-    center: Vec2
-    radius: float
-    heading: float | None = None
-    heading_tolerance: float | None = None
-    limits: Mapping[str, Vec2] = field(default_factory=dict, hash=False)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Task:
-    """Planning problem as the robot knows it. Code of the planner takes a `Task`, never a `Scenario`.
-
-    ``vehicle`` is a bundled name, the path of a YAML file, or ``module:attribute``. ``source`` has the position of each
-    key in the scenario file: ``task.source.where("goal.center")``.
-    """
-
-    name: str
-    description: str = ""
-    bounds: Bounds
-    obstacles: tuple[Obstacle, ...] = ()
-    start: Start
-    goal: Goal
-    vehicle: str = "mushr"
-    planning: Planning = field(default_factory=Planning)
-    source: Source = field(default_factory=Source, compare=False, repr=False)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scenario(Task):
-    """Task with the true world and the sensing, for the simulation alone."""
-
-    truth: Truth = field(default_factory=Truth)
-    sensing: Sensing = field(default_factory=Sensing)
-    trial: Trial = field(default_factory=Trial)
-
-    def task(self) -> Task:
-        """Part of the scenario that the robot knows."""
-        return Task(**{f.name: getattr(self, f.name) for f in fields(Task)})
 
 
 def load_scenario(name_or_path: str | Path, settings: Mapping[str, Any] | Sequence[Override] | None = None) -> Scenario:

@@ -16,28 +16,11 @@ import numpy as np
 from kraft.driving.estimation.camera_model import PowerLaw
 from kraft.driving.messages import Observation
 from kraft.errors import Code, InputError
-from kraft.scenario import Scenario, Sensing
+from kraft.scenario import Sensing
 from ompl_ext.arrays import Floats, Matrix
 
 HALF_MARKER = 0.075
 """Half the side of the marker, m."""
-FARTHEST_MEASURED: Final = 7.6
-"""Distance from the camera up to which the errors of `single-tag` were measured, m."""
-
-
-def beyond_measured(scenario: Scenario) -> str:
-    """What to say of a camera that is much farther from start or goal than its errors were measured; else empty."""
-    x, y, height = scenario.sensing.camera
-    places = {"start": (scenario.start.x, scenario.start.y), "goal": scenario.goal.center}
-    away = {name: math.hypot(place[0] - x, place[1] - y, height) for name, place in places.items()}
-    far = {name: distance for name, distance in away.items() if distance > 2.0 * FARTHEST_MEASURED}
-    if scenario.sensing.preset != "single-tag" or not far:
-        return ""
-    listed = " and ".join(f"{distance:.0f} m from the {name}" for name, distance in far.items())
-    return (
-        f"the camera is {listed}; errors of the poses of a tag are measured up to {FARTHEST_MEASURED:g} m and grow to "
-        "metres there: place it nearer (sensing.camera), or state other sensing (sensing.preset: planar)"
-    )
 
 
 class Camera(Protocol):

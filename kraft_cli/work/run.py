@@ -81,10 +81,9 @@ def run_scenario(
         modules=kernel_modules(cell.method),
     )  # fmt: skip
     check_reachable(cell.scenario.task(), cell.vehicle)
-    from kraft.simulation.camera import beyond_measured  # loads the simulator
-    from kraft.trial.trial import run_trial
+    from kraft.trial.trial import run_trial  # loads the simulator
 
-    if far := beyond_measured(cell.scenario):
+    if far := cell.scenario.far_camera():
         report(f"warning: {far}")
     timer.report("kernels, maps and simulator loaded")
     spec = TrialSpec(cell.scenario, cell.method, cell.vehicle, request.seed)

@@ -13,7 +13,7 @@ from kraft.driving.estimation.camera_model import PowerLaw
 from kraft.driving.messages import Observation
 from kraft.errors import Code, InputError
 from kraft.scenario import Sensing, load_scenario
-from kraft.simulation.camera import PRESETS, ErrorModel, MarkerCamera, Part, beyond_measured
+from kraft.simulation.camera import PRESETS, ErrorModel, MarkerCamera, Part
 from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.world import World
 from ompl_ext.arrays import Floats, Matrix
@@ -128,13 +128,6 @@ def test_a_camera_below_the_marker_is_refused() -> None:
 
 
 # Time
-
-
-def test_a_camera_far_from_where_the_vehicle_drives_is_said() -> None:
-    assert beyond_measured(load_scenario("boxes", {})) == ""
-    bounds = {"bounds.x": [-1, 30], "sensing.camera": [25.0, 0.0, 5.0]}
-    assert "m from the start" in beyond_measured(load_scenario("boxes", bounds))
-    assert beyond_measured(load_scenario("boxes", {**bounds, "sensing.preset": "planar"})) == ""
 
 
 def test_a_pose_arrives_later_by_the_latency() -> None:

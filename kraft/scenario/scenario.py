@@ -1,0 +1,91 @@
+"""Scenario and task as plain geometry, in metres and radians."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Final
+
+from kraft.config.source import Source
+from kraft.scenario.geometry import Obstacle, Vec2
+from kraft.scenario.planning import Planning
+from kraft.scenario.schema import (
+    Bounds,
+    Sensing,
+    Trial,
+)  # fmt: skip
+from kraft.scenario.truth import Truth
+
+FARTHEST_MEASURED: Final = 7.6
+"""Distance from the camera up to which the errors of `single-tag` were measured, m."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Pose (m, rad) and forward speed (m/s) at time 0."""
+
+    x: float
+    y: float
+    heading: float
+    speed: float = 0.0
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Goal region: a disc, and optionally a heading and limits of other components of the state; SI units.
+
+    ``heading`` and ``heading_tolerance`` are both given or both None.
+    """
+
+    center: Vec2
+    radius: float
+    heading: float | None = None
+    heading_tolerance: float | None = None
+    limits: Mapping[str, Vec2] = field(default_factory=dict, hash=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """Planning problem as the robot knows it. Code of the planner takes a `Task`, never a `Scenario`.
+
+    ``vehicle`` is a bundled name, the path of a YAML file, or ``module:attribute``. ``source`` has the position of each
+    key in the scenario file: ``task.source.where("goal.center")``.
+    """
+
+    name: str
+    description: str = ""
+    bounds: Bounds
+    obstacles: tuple[Obstacle, ...] = ()
+    start: Start
+    goal: Goal
+    vehicle: str = "mushr"
+    planning: Planning = field(default_factory=Planning)
+    source: Source = field(default_factory=Source, compare=False, repr=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario(Task):
+    """Task with the true world and the sensing, for the simulation alone."""
+
+    truth: Truth = field(default_factory=Truth)
+    sensing: Sensing = field(default_factory=Sensing)
+    trial: Trial = field(default_factory=Trial)
+
+    def task(self) -> Task:
+        """Part of the scenario that the robot knows."""
+        return Task(**{f.name: getattr(self, f.name) for f in fields(Task)})
+
+    def far_camera(self) -> str:
+        """What to say of a camera much farther from start or goal than its errors were measured; else empty."""
+        x, y, height = self.sensing.camera
+        places = {"start": (self.start.x, self.start.y), "goal": self.goal.center}
+        away = {name: math.hypot(place[0] - x, place[1] - y, height) for name, place in places.items()}
+        far = {name: distance for name, distance in away.items() if distance > 2.0 * FARTHEST_MEASURED}
+        if self.sensing.preset != "single-tag" or not far:
+            return ""
+        listed = " and ".join(f"{distance:.0f} m from the {name}" for name, distance in far.items())
+        return (
+            f"the camera is {listed}; errors of the poses of a tag are measured up to {FARTHEST_MEASURED:g} m and grow "
+            "to metres there: place it nearer (sensing.camera), or state other sensing (sensing.preset: planar)"
+        )
