@@ -1,4 +1,4 @@
-"""Atomic writing of files, and checks before the work that a file can be written."""
+"""Atomic writing of files, files of lines, and checks before the work that a file can be written."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -115,6 +115,61 @@ class Replacement:
     def discard(self) -> None:
         """Remove the temporary file; does nothing after `commit`."""
         self.temporary.unlink(missing_ok=True)
+
+
+class LineFile:
+    """Open file to which whole lines are appended; after one that cannot be written it ends with the one before."""
+
+    def __init__(self, path: Path, file: int | None = None, end: int = 0) -> None:
+        """Append to an open `file` after its first `end` bytes; by default make a new one at `path`.
+
+        Raises:
+            InputError: if it cannot be made.
+        """
+        self.path, self._end = path, end
+        try:
+            flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC
+            self._file = os.open(path, flags, 0o666) if file is None else file
+        except OSError as error:
+            raise unwritable(path, error) from error
+
+    def append(self, line: bytes, *, sync: bool = False) -> None:
+        """Write a line, and with `sync` wait until it is on the disk.
+
+        Raises:
+            InputError: if it cannot be written; the lines before stay.
+        """
+        line += b"\n"
+        try:
+            left = memoryview(line)
+            while left:
+                left = left[os.write(self._file, left) :]
+            if sync:
+                os.fsync(self._file)
+        except OSError as error:
+            self._truncate()
+            raise unwritable(self.path, error) from error
+        self._end += len(line)
+
+    def sync(self) -> None:
+        """Wait until all lines are on the disk.
+
+        Raises:
+            InputError: if that is not possible.
+        """
+        try:
+            os.fsync(self._file)
+        except OSError as error:
+            raise unwritable(self.path, error) from error
+
+    def close(self) -> None:
+        """Close the file."""
+        os.close(self._file)
+
+    def _truncate(self) -> None:
+        with suppress(OSError):  # the line stays incomplete, which reading allows
+            os.ftruncate(self._file, self._end)
+            os.lseek(self._file, self._end, os.SEEK_SET)
 
 
 def unwritable(path: Path, error: OSError) -> InputError:

@@ -77,11 +77,7 @@ def parse_sweeps(texts: Iterable[str], argument: str) -> tuple[tuple[Override, .
             place = Place(argument, argument=True)
             if not isinstance(given, tuple) or not given:
                 raise InputError([place.diagnostic(key, "has no value", "expected KEY=V1,V2,...", Code.MISSING)])
-            problems += [
-                place.diagnostic(key, f"has the value {value_text(value)} twice", "expected it once", Code.DUPLICATE)
-                for k, value in enumerate(given)
-                if value in given[:k]
-            ]
+            problems += repeated_values(key, given, place)
             found.append(tuple(Override(key, value, place) for value in given))
         except InputError as error:
             problems += error.diagnostics
@@ -89,6 +85,15 @@ def parse_sweeps(texts: Iterable[str], argument: str) -> tuple[tuple[Override, .
     if problems:
         raise InputError(problems)
     return tuple(found)
+
+
+def repeated_values(key: str, values: Sequence[Value], place: Place) -> list[Diagnostic]:
+    """Problems of the values of a varied key that are given twice."""
+    return [
+        place.diagnostic(key, f"has the value {value_text(value)} twice", "expected it once", Code.DUPLICATE)
+        for k, value in enumerate(values)
+        if value in values[:k]
+    ]
 
 
 def overrides_of(values: Mapping[str, Any], argument: str = "settings") -> tuple[Override, ...]:
@@ -140,18 +145,21 @@ def overridden(document: Document, overrides: Sequence[Override]) -> Document:
     return replace(document, data=data, source=replace(document.source, replaced=places), unusable=usable)
 
 
-def value_text(value: Any) -> str:
-    """Value in one line of YAML; lists may be tuples."""
+def value_text(value: Any, digits: int | None = None) -> str:
+    """Value in one line of YAML, numbers exactly or with some digits; lists may be tuples."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{key}: {value_text(each)}" for key, each in value.items()) + "}"
+        return "{" + ", ".join(f"{key}: {value_text(each, digits)}" for key, each in value.items()) + "}"
     if isinstance(value, (tuple, list)):
-        return "[" + ", ".join(value_text(each) for each in value) + "]"
+        return "[" + ", ".join(value_text(each, digits) for each in value) + "]"
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, str):
         plain = _WORD.fullmatch(value) and not _UNQUOTED.fullmatch(value)
         return value if plain else json.dumps(value, ensure_ascii=False)
-    return f"{value:.12g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        short = f"{value:.{digits or 12}g}"
+        return short if digits or float(short) == value else repr(value)
+    return str(value)
 
 
 def plain_value(value: Value) -> Any:

@@ -10,7 +10,6 @@ import hashlib
 import json
 import os
 from collections.abc import Collection, Iterable
-from contextlib import suppress
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
@@ -19,7 +18,7 @@ from pydantic import Field, ValidationError
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation.replay import Replay
-from kraft.files import unwritable
+from kraft.files import LineFile, unwritable
 from kraft.text import finite
 from kraft.trial.measures import Measures, Record
 from kraft.trial.result import Cause, TrialResult
@@ -215,48 +214,34 @@ class Journal:
 
 
 class _Lines:
-    """Open file of lines; after a line that cannot be written it ends with the one before."""
+    """Open and locked file of lines, which continues after the complete ones that are there."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
         try:
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         except OSError as error:
-            raise unwritable(self.path, error) from error
+            raise unwritable(path, error) from error
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             # with the lock: before, another process may still append lines
-            self._end = complete_bytes(path)
-            self.was_cut = os.fstat(self._file).st_size > self._end
-            os.ftruncate(self._file, self._end)
-            os.lseek(self._file, self._end, os.SEEK_SET)
+            end = complete_bytes(path)
+            self.was_cut = os.fstat(file).st_size > end
+            os.ftruncate(file, end)
+            os.lseek(file, end, os.SEEK_SET)
         except BlockingIOError:
-            os.close(self._file)
+            os.close(file)
             expected = "expected the other one to end first"
             raise InputError.of(str(path), "is in use by another kraft eval", expected, Code.CONFLICT) from None
         except OSError as error:
-            os.close(self._file)
-            raise unwritable(self.path, error) from error
+            os.close(file)
+            raise unwritable(path, error) from error
+        self._file = LineFile(path, file, end)
 
     def append(self, line: bytes) -> None:
-        line += b"\n"
-        try:
-            left = memoryview(line)
-            while left:
-                left = left[os.write(self._file, left) :]
-            os.fsync(self._file)
-        except OSError as error:
-            self._truncate()
-            raise unwritable(self.path, error) from error
-        self._end += len(line)
+        self._file.append(line, sync=True)
 
     def close(self) -> None:
-        os.close(self._file)
-
-    def _truncate(self) -> None:
-        with suppress(OSError):  # the line stays incomplete, which reading allows
-            os.ftruncate(self._file, self._end)
-            os.lseek(self._file, self._end, os.SEEK_SET)
+        self._file.close()
 
 
 def complete_bytes(path: Path) -> int:

@@ -17,7 +17,7 @@ from pydantic import Field, StringConstraints
 
 from kraft.config import bundled
 from kraft.config.document import Document, Value
-from kraft.config.overrides import Override, overrides_of, plain_value, repeated, value_text
+from kraft.config.overrides import Override, overrides_of, plain_value, repeated, repeated_values, value_text
 from kraft.config.schema import Name, StrictModel, check
 from kraft.config.source import Place, Source
 from kraft.config.yaml_reader import read_document
@@ -268,4 +268,8 @@ def _sweeps(vary: Mapping[str, Sequence[Any]]) -> tuple[tuple[Override, ...], ..
         raise InputError(
             place.diagnostic(key, "has no values", "expected a list of values", Code.MISSING) for key in empty
         )
-    return tuple(tuple(overrides_of({key: value}, "vary")[0] for value in values) for key, values in vary.items())
+    sweeps = tuple(tuple(overrides_of({key: value}, "vary")[0] for value in values) for key, values in vary.items())
+    twice = [repeated_values(each[0].key, [one.value for one in each], each[0].place) for each in sweeps]
+    if problems := list(itertools.chain.from_iterable(twice)):
+        raise InputError(problems)
+    return sweeps

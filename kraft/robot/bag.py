@@ -8,6 +8,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -65,8 +66,9 @@ def check_bag(path: Path) -> None:
 class BagWriter:
     """Writes messages into an MCAP file, which is complete and in its place at the exit of the context."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, *, keeps: bool = False) -> None:
+        """Write to `path`; what is written before an error stays there if it `keeps` it, otherwise it is removed."""
+        self._path, self._keeps = path, keeps
         self._folder: Path | None = None
         self._connections: dict[str, Any] = {}
 
@@ -88,13 +90,19 @@ class BagWriter:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         assert self._folder is not None, "it was entered"
         try:
+            written = self._folder / _NAME / f"{_NAME}.mcap"
             if kind is None:
                 self._writer.close()
-                written = self._folder / _NAME / f"{_NAME}.mcap"
-                written.chmod(file_mode())
-                written.replace(self._path)
+            elif self._keeps:
+                with suppress(OSError):
+                    self._writer.close()
+                if written.stat().st_size == 0:
+                    return
             else:
                 self._writer.abort()
+                return
+            written.chmod(file_mode())
+            written.replace(self._path)
         except OSError as failure:
             raise unwritable(self._path, failure) from failure
         finally:

@@ -178,7 +178,7 @@ class Control:
         self._since_stop: float | None = None
         self._told: Commitment | None = None  # what the brake guard knows to be on board
         self._learned: Learned | None = None
-        self._alive = True
+        self._alive, self._is_unwritten = True, False
 
     def run(self) -> Ended:
         """Drive until the goal, the time limit, an order, or a fault that does not go away."""
@@ -206,7 +206,9 @@ class Control:
         }  # fmt: skip
         self._event(self._ended_at, f"{outcome}: {reason}" if reason else outcome)
         refused = dict(self._tracker.poses.refused)
-        return Ended(outcome, reason, self._ended_at, measures, refused, self._stops, self._sensed())
+        return Ended(
+            outcome, reason, self._ended_at, measures, refused, self._stops, self._sensed(), self._journal.problem
+        )
 
     @property
     def _now(self) -> float:
@@ -387,6 +389,9 @@ class Control:
         if now >= self._next_status and not self._mailbox.closed:
             self._next_status = now + STATUS_PERIOD
             self._mailbox.send(Status(now, estimate.age, self._late, self._missed))
+            if self._journal.problem and not self._is_unwritten:
+                self._is_unwritten = True
+                self._event(now, f"the drive goes on, but {self._journal.problem}")
 
     def _is_over(self, now: float, estimate: Estimate) -> bool:
         if self._ending is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from kraft.driving.messages import Cycle, Reference, ReferenceKind
 from kraft.planning.workspace import poses_of
 from kraft.robot.messages import GRID, MARKERS, header, make, path, polygon, pose_fields, stamp
 from kraft.scenario import Box, Circle, Obstacle, OccupancyMap, Task
-from ompl_ext.arrays import Bools, Floats, Matrix
+from ompl_ext.arrays import Bools, Floats
 from ompl_ext.plan import TreeView
 from ompl_ext.vehicle import Vehicle
 
@@ -46,7 +47,7 @@ def occupancy_grid(task: Task, time: int, frame: str) -> Any:
     ys: Floats = y0 + cell * (np.arange(rows, dtype=float) + 0.5)
     occupied = np.zeros((rows, columns), bool)
     for obstacle in task.obstacles:
-        occupied |= _touched(obstacle, xs, ys, 0.5 * math.sqrt(2.0) * cell)
+        occupied |= _touched(obstacle, xs, ys, cell)
     info = {
         "map_load_time": stamp(time),
         "resolution": cell, "width": columns, "height": rows, "origin": pose_fields(x0, y0, 0.0),
@@ -54,14 +55,15 @@ def occupancy_grid(task: Task, time: int, frame: str) -> Any:
     return make(GRID, header=header(time, frame), info=info, data=np.where(occupied, 100, 0).astype(np.int8).ravel())
 
 
-def _touched(obstacle: Obstacle, xs: Floats, ys: Floats, reach: float) -> Bools:
-    """Cells [ny, nx] whose centre is at most `reach` m from an obstacle."""
+def _touched(obstacle: Obstacle, xs: Floats, ys: Floats, cell: float) -> Bools:
+    """Cells [ny, nx] of side `cell` (m) and these centres that an obstacle touches: those within half a diagonal."""
+    if isinstance(obstacle, OccupancyMap):
+        return _under_map(obstacle, xs, ys, cell)
     x, y = np.meshgrid(xs, ys)
+    reach = 0.5 * math.sqrt(2.0) * cell
     if isinstance(obstacle, Circle):
         near: Bools = np.hypot(x - obstacle.center[0], y - obstacle.center[1]) <= obstacle.radius + reach
         return near
-    if isinstance(obstacle, OccupancyMap):
-        return _in_map(obstacle, x, y)
     vertices = np.array(obstacle.corners if isinstance(obstacle, Box) else obstacle.vertices)
     inside, near = np.zeros(x.shape, bool), np.zeros(x.shape, bool)
     for (ax, ay), (bx, by) in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):
@@ -73,15 +75,23 @@ def _touched(obstacle: Obstacle, xs: Floats, ys: Floats, reach: float) -> Bools:
     return inside | near
 
 
-def _in_map(grid: OccupancyMap, x: Matrix, y: Matrix) -> Bools:
+def _under_map(grid: OccupancyMap, xs: Floats, ys: Floats, cell: float) -> Bools:
+    """Cells that the occupied ones of a map touch: its cells are cut into squares that touch up to four each."""
     x0, y0, yaw = grid.origin
     c, s = math.cos(yaw), math.sin(yaw)
-    column = np.floor((c * (x - x0) + s * (y - y0)) / grid.resolution).astype(int)
-    row = np.floor((-s * (x - x0) + c * (y - y0)) / grid.resolution).astype(int)
-    rows, columns = grid.occupied.shape
-    there = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-    found: Bools = there & grid.occupied[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
-    return found
+    touched = np.zeros((len(ys), len(xs)), bool)
+    row, column = np.nonzero(grid.occupied)
+    span = grid.resolution * (abs(c) + abs(s))  # of a cell along x and y
+    parts = math.ceil(span / cell)
+    half = (0.5 - 1e-6) * span / parts  # what ends at the border of a cell does not touch it
+    for k, corner in itertools.product(range(parts * parts), itertools.product((-half, half), repeat=2)):
+        u = (column + (k % parts + 0.5) / parts) * grid.resolution
+        v = (row + (k // parts + 0.5) / parts) * grid.resolution
+        i = np.floor((x0 + c * u - s * v + corner[0] - xs[0]) / cell + 0.5).astype(int)
+        j = np.floor((y0 + s * u + c * v + corner[1] - ys[0]) / cell + 0.5).astype(int)
+        inside = (i >= 0) & (i < len(xs)) & (j >= 0) & (j < len(ys))
+        touched[j[inside], i[inside]] = True
+    return touched
 
 
 def scene_markers(task: Task, time: int, frame: str) -> Any:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import signal
 import threading
@@ -15,6 +16,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
 from typing import Any, Final
 
 from kraft.driving.control import make_controller, needs_map
@@ -26,6 +28,7 @@ from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import model_of
 from kraft.errors import Code, Diagnostic, InputError, KraftError
+from kraft.files import LineFile
 from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
 from kraft.robot.guard import run_guard
@@ -50,6 +53,8 @@ from ompl_ext.arrays import Floats
 
 LEAD: Final = 0.3
 """Time before a cycle at which it is decided, s: the decision takes a part of it, and travels to the controller."""
+AROUND: Final = 1.0
+"""Distance from the bounds up to which a map of the robot is used, m."""
 JOIN_TIME: Final = 5.0
 """Time to wait for the end of the controller's process, s."""
 GUARD_JOIN_TIME: Final = 12.0
@@ -82,6 +87,8 @@ class DriveResult:
     checked: Checked
     ended: Ended | None
     decisions: Decisions = field(default_factory=Decisions)
+    unwritten: tuple[str, ...] = ()
+    """why some of its files end before the drive"""
 
 
 def on_the_clock(method: Method) -> Method:
@@ -115,9 +122,10 @@ def check_method(method: Method) -> None:
         )
     key = "cycle" if planner.clock_cycle is None else "clock_cycle"
     cycle = planner.clock_cycle or planner.cycle
-    if cycle - max(planner.lead, LEAD) < LEAD:
+    least = max(planner.lead, LEAD) + LEAD
+    if cycle < least - 1e-9:
         other = ", or a longer `clock_cycle`" if planner.clock_cycle is None else ""
-        wrong(f"planner.{key}", f"is {cycle:g} s", f"expected more than {2 * LEAD:g} s on the wall clock{other}")
+        wrong(f"planner.{key}", f"is {cycle:g} s", f"expected at least {least:g} s on the wall clock{other}")
     if problems:
         raise InputError(problems)
 
@@ -188,6 +196,7 @@ def _drive(
     on_check, on_cycle, on_status, on_sense = report
     planner = Planner(spec, keep_trees)
     checked, decisions = Checked((), None), Decisions()
+    cycles = CycleFile(spec.folder)
     for message in _messages(here, process):
         if isinstance(message, KraftError):
             raise message
@@ -203,7 +212,8 @@ def _drive(
             answer, tree = planner.decide(message)
             send(answer)
             decisions.add(answer.cycle)
-            _append(spec, answer.cycle)
+            if problem := cycles.append(answer.cycle):
+                on_status(Status(answer.cycle.time, math.nan, 0, 0, f"the drive goes on, but {problem}"))
             planner.prepare()
             on_sense(message.sense)
             on_cycle(replace(answer.cycle, tree=tree))
@@ -214,9 +224,11 @@ def _drive(
         elif isinstance(message, Ended):
             if message.sense is not None:
                 on_sense(message.sense)
-            return DriveResult(checked, message, decisions)
+            unwritten = tuple(dict.fromkeys(each for each in (cycles.problem, message.unwritten) if each))
+            return DriveResult(checked, message, decisions, unwritten)
     reason = f"the controller's process ended with {process.exitcode}"
-    return DriveResult(checked, Ended("stopped", reason, decisions.last), decisions)
+    unwritten = (cycles.problem,) if cycles.problem else ()
+    return DriveResult(checked, Ended("stopped", reason, decisions.last), decisions, unwritten)
 
 
 def _messages(here: Connection, process: Any) -> Iterator[Any]:
@@ -234,12 +246,28 @@ def _messages(here: Connection, process: Any) -> Iterator[Any]:
             return
 
 
-def _append(spec: DriveSpec, cycle: Cycle) -> None:
-    """Write a cycle as it is decided: it is on the disk whatever ends the process."""
-    if spec.folder is None:
-        return
-    with (spec.folder / "cycles.jsonl").open("a", encoding="utf-8") as file:
-        file.write(json.dumps(cycle_content(cycle)) + "\n")
+class CycleFile:
+    """Cycles as they are decided: they are in the file whatever ends the process.
+
+    The drive goes on if they cannot be written any more: `problem` says why.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        """Write nothing if there is no folder."""
+        self._path = None if folder is None else folder / "cycles.jsonl"
+        self._file: LineFile | None = None
+        self.problem = ""
+
+    def append(self, cycle: Cycle) -> str:
+        """Write a cycle; why it could not be written, the first time, else empty."""
+        if self._path is None or self.problem:
+            return ""
+        try:
+            self._file = self._file or LineFile(self._path)
+            self._file.append(json.dumps(cycle_content(cycle)).encode())
+        except InputError as error:
+            self.problem = str(error)
+        return self.problem
 
 
 class Planner:
@@ -325,7 +353,9 @@ def changed(task: Task, goal: tuple[float, float] | None, grid: OccupancyMap | N
         task = replace(task, goal=moved_goal(task.goal, goal))
     if grid is not None:
         kept = tuple(each for each in task.obstacles if each.name != grid.name)
-        task = replace(task, obstacles=(*kept, grid))
+        (x0, x1), (y0, y1) = task.bounds.x, task.bounds.y
+        here = grid.cropped((x0 - AROUND, x1 + AROUND), (y0 - AROUND, y1 + AROUND))  # it may be that of a building
+        task = replace(task, obstacles=(*kept, here))
     return task
 
 

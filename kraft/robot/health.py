@@ -49,8 +49,8 @@ class Health:
             self._ticks.popleft()
         while self._poses and self._poses[0] <= begin:
             self._poses.popleft()
-        # half the share ends it: the number of poses in a window varies
-        self._is_lossy = self._missing > self._watchdog.lost * (0.5 if self._is_lossy else 1.0)
+        if now - self._since >= self._window:  # half the share ends it: the number of poses in a window varies
+            self._is_lossy = self._missing > self._watchdog.lost * (0.5 if self._is_lossy else 1.0)
 
     @property
     def _missing(self) -> float:

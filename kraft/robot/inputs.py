@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import queue
-from typing import Any
+import time
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,6 +20,10 @@ OCCUPIED = 50
 """Occupancy in percent from which on a cell of a map is occupied; unknown cells are occupied too."""
 
 
+RESOLUTION_MIN: Final = 0.005
+"""Least side of a cell of a map, m."""
+
+
 class Inputs:
     """Subscriptions of a robot's topics; `clock` is the one by which their arrivals count."""
 
@@ -26,7 +31,7 @@ class Inputs:
         self._robot = robot
         self.clock = clock_of(robot, transport)
         self._poses: queue.SimpleQueue[Received] = queue.SimpleQueue()
-        self._held: tuple[bool, float] | None = None
+        self._held: tuple[bool, int] | None = None  # and when it arrived, by the monotonic clock, ns
         self._goal: tuple[float, float] | None = None
         self._map: OccupancyMap | None = None
         self._newest_map: OccupancyMap | None = None
@@ -53,7 +58,7 @@ class Inputs:
         else:
             button = switch.button or 0
             held = button < len(message.buttons) and bool(message.buttons[button])
-        self._held = held, 1e-9 * self.clock.at(arrival)
+        self._held = held, arrival
 
     def _take_goal(self, message: Any, arrival: int) -> None:
         place = message.pose.position
@@ -64,8 +69,10 @@ class Inputs:
         frame = message.header.frame_id.lstrip("/")
         found = occupancy_map(message) if frame == self._robot.pose.frame else None
         if found is None:
-            size = f"{message.info.width} x {message.info.height}"
-            self._map_problem = f"the map of {size} cells in the frame {frame!r} cannot be used"
+            info = message.info
+            size = f"{info.width} x {info.height} cells of {info.resolution:g} m"
+            expected = f"expected cells of at least {RESOLUTION_MIN:g} m in the frame {self._robot.pose.frame!r}"
+            self._map_problem = f"the map of {size} in the frame {frame!r} cannot be used; {expected}"
         elif found != self._newest_map:
             self._map = self._newest_map = found
 
@@ -103,20 +110,21 @@ class Inputs:
             return ""
         if self._held is None:
             return f"no message of the dead man on {switch.topic}"
-        held, since = self._held
-        if 1e-9 * self.clock.now() - since > switch.timeout:
+        held, arrival = self._held
+        silence = self.clock.at(time.monotonic_ns()) - self.clock.at(arrival)
+        if 1e-9 * silence > switch.timeout:
             return f"the dead man on {switch.topic} is silent"
         return "" if held else "the dead man is released"
 
 
 def occupancy_map(message: Any) -> OccupancyMap | None:
-    """Obstacle from an OccupancyGrid, unknown cells occupied; None if its size is not that of its data."""
+    """Obstacle from an OccupancyGrid, unknown cells occupied; None if its size or resolution cannot be used."""
     info = message.info
     origin = info.origin.position.x, info.origin.position.y, yaw_of(info.origin.orientation)
     cells = np.asarray(message.data, dtype=np.int8)
     if cells.size == 0 or cells.size != info.width * info.height:
         return None
-    if not np.isfinite([*origin, info.resolution]).all() or info.resolution <= 0.0:
+    if not np.isfinite([*origin, info.resolution]).all() or info.resolution < RESOLUTION_MIN:
         return None
     occupied = (cells >= OCCUPIED) | (cells < 0)
     grid = occupied.reshape(int(info.height), int(info.width))

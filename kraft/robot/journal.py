@@ -3,28 +3,39 @@
 from __future__ import annotations
 
 import csv
-import os
+import io
 import queue
 import threading
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
+
+from kraft.errors import InputError
+from kraft.files import LineFile, unwritable
 
 
 class Journal:
-    """Writes rows of tables in a thread; each table is a file ``NAME.csv``, made with its first row."""
+    """Writes rows of tables in a thread; each table is a file ``NAME.csv``, made with its first row.
+
+    The drive goes on if nothing can be written any more: `problem` says why, the tables end with their last whole rows.
+    """
 
     def __init__(self, folder: Path | None, headings: Mapping[str, Sequence[str]]) -> None:
         """Write nothing if there is no folder."""
         self._folder, self._headings = folder, headings
         self._rows: queue.SimpleQueue[tuple[str, Sequence[Any]] | None] = queue.SimpleQueue()
-        self._files: dict[str, TextIO] = {}
+        self._tables: dict[str, LineFile] = {}
         self._thread = threading.Thread(target=self._write, name="journal", daemon=True)
+        self.problem = ""
 
     def __enter__(self) -> Journal:
         """Begin to write."""
         if self._folder is not None:
-            self._folder.mkdir(parents=True, exist_ok=True)
+            try:
+                self._folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                self.problem = str(unwritable(self._folder, error))
         self._thread.start()
         return self
 
@@ -39,17 +50,25 @@ class Journal:
 
     def _write(self) -> None:
         while (row := self._rows.get()) is not None:
-            if self._folder is not None:
-                name, values = row
-                file = self._file(self._folder, name)
-                csv.writer(file, lineterminator="\n").writerow(values)
-                file.flush()
-        for file in self._files.values():
-            os.fsync(file.fileno())
-            file.close()
+            if self._folder is None or self.problem:
+                continue
+            try:
+                self._append(self._folder, *row)
+            except InputError as error:
+                self.problem = str(error)
+        for table in self._tables.values():
+            with suppress(InputError):  # the rows are in the file, though perhaps not yet on the disk
+                table.sync()
+            table.close()
 
-    def _file(self, folder: Path, name: str) -> TextIO:
-        if name not in self._files:
-            self._files[name] = (folder / f"{name}.csv").open("w", encoding="utf-8", newline="")
-            csv.writer(self._files[name], lineterminator="\n").writerow(self._headings[name])
-        return self._files[name]
+    def _append(self, folder: Path, name: str, values: Sequence[Any]) -> None:
+        if name not in self._tables:
+            self._tables[name] = LineFile(folder / f"{name}.csv")
+            self._tables[name].append(_line(self._headings[name]))
+        self._tables[name].append(_line(values))
+
+
+def _line(values: Sequence[Any]) -> bytes:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="").writerow(values)
+    return text.getvalue().encode()

@@ -204,7 +204,7 @@ def yaw_of(quaternion: Any) -> float:
     norm = x * x + y * y + z * z + w * w
     if not math.isfinite(norm) or abs(norm - 1.0) > 0.1:
         return math.nan
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z) / norm)
+    return math.atan2(2.0 * (w * z + x * y) / norm, 1.0 - 2.0 * (y * y + z * z) / norm)
 
 
 def stamped_pose(time: int, frame: str, pose: Sequence[float]) -> Any:

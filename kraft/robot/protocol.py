@@ -149,7 +149,10 @@ class Status:
 
 @dataclass(frozen=True)
 class Ended:
-    """End of the drive: outcome, why, its time (s), measures of the controller's clock, and what was sensed last."""
+    """End of the drive: outcome, why, its time (s), measures of the controller's clock, and what was sensed last.
+
+    `unwritten` says why the tables end before the drive; it is empty if they do not.
+    """
 
     outcome: str
     reason: str
@@ -158,6 +161,7 @@ class Ended:
     refused: dict[str, int] = field(default_factory=dict)
     stops: int = 0
     sense: Sense | None = None
+    unwritten: str = ""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, PrivateAttr, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
@@ -136,6 +136,9 @@ class SteeringCommand(StrictModel):
         return self
 
 
+JOINT_STATE: Final = "sensor_msgs/msg/JointState"
+
+
 class CommandOutput(StrictModel):
     """Where the commands go."""
 
@@ -248,7 +251,7 @@ class Robot(StrictModel):
 
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
-        """Topics that are named twice, and a rate that the multiplexer does not wait for."""
+        """Topics that are named twice, and units and signs that the type of the commands does not have."""
         places: dict[object, str] = {}
         for part in ("pose", "command", "dead_man", "goal", "map", "clock"):
             section = content.get(part)
@@ -257,19 +260,32 @@ class Robot(StrictModel):
                 problem = f"is {topic}, as {places[topic]}.topic is"
                 yield refuse(problem, "expected a topic for each", (part, "topic"), Code.DUPLICATE)
             places.setdefault(topic, part)
+        command = content.get("command")
+        if isinstance(command, Mapping) and command.get("type") == JOINT_STATE:
+            for key, default in (("speed", SpeedCommand()), ("steering", SteeringCommand())):
+                if command.get(key, default.model_dump()) not in (default, default.model_dump()):
+                    problem = f"is given with {JOINT_STATE}, which takes the controls of the model as they are"
+                    expected = "expected it for the other types alone"
+                    yield refuse(problem, expected, ("command", key), Code.CONFLICT)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         for error in self.across_keys(self.model_dump()):
             raise error
-        if self.rate_hz is not None and 2.0 / self.rate_hz > self.command.timeout:
-            problem = f"is {self.rate_hz:g}, two commands apart more than the timeout of {self.command.timeout:g} s"
-            raise refuse(problem, f"expected at least {2.0 / self.command.timeout:g}", ("rate_hz",), Code.CONFLICT)
+        if self.rate_hz is not None and (late := self.too_slow(self.rate_hz)):
+            raise refuse(f"is {self.rate_hz:g}, {late[0]}", late[1], ("rate_hz",), Code.CONFLICT)
         if 2.0 / self.pose.rate_hz > self.watchdog.pose_age:
             problem = f"is {self.watchdog.pose_age:g}, shorter than it takes for two poses to arrive"
             expected = f"expected at least {2.0 / self.pose.rate_hz:.3g}"
             raise refuse(problem, expected, ("watchdog", "pose_age"), Code.CONFLICT)
         return self
+
+    def too_slow(self, rate: float) -> tuple[str, str] | None:
+        """What is wrong with commands at a rate (Hz) that the multiplexer does not wait for, and what is expected."""
+        if 2.0 / rate <= self.command.timeout:
+            return None
+        problem = f"two commands apart more than the timeout of {self.command.timeout:g} s"
+        return problem, f"expected at least {2.0 / self.command.timeout:g}"
 
     @property
     def source(self) -> Source:

@@ -69,6 +69,7 @@ class RosbridgeClient:
         self._answers: dict[str, Any] = {}
         self._numbers = itertools.count()
         self._outbox = Outbox[str, dict[str, Any]]()
+        self._lock = threading.Lock()
         self.problem = ""
         try:
             self._socket = self._connect()
@@ -148,14 +149,14 @@ class RosbridgeClient:
     def _send(self) -> None:
         while (waiting := self._outbox.take()) is not None:
             operations, contents = waiting
+            used = self._socket
             try:
                 for text in operations:
-                    self._socket.send(text)
+                    used.send(text)
                 for _, content in contents:
-                    self._socket.send(_text(content, self._settings.ros))
+                    used.send(_text(content, self._settings.ros))
             except (OSError, self._library.exceptions.WebSocketException) as error:
-                if not self._outbox.closed:
-                    self.problem = f"the connection to {self._settings.url} is lost ({error})"
+                self._lost(used, error)
 
     def _receive(self) -> None:
         while not self._outbox.closed:
@@ -166,21 +167,28 @@ class RosbridgeClient:
             except (OSError, self._library.exceptions.WebSocketException) as error:
                 if self._outbox.closed:
                     return
-                self.problem = f"the connection to {self._settings.url} is lost ({error})"
+                self._lost(self._socket, error)
                 self._reconnect()
+
+    def _lost(self, used: Any, error: Exception) -> None:
+        """Note a loss of the connection, unless there is another one by now."""
+        with self._lock:
+            if used is self._socket and not self._outbox.closed:
+                self.problem = f"the connection to {self._settings.url} is lost ({error})"
 
     def _reconnect(self) -> None:
         while not self._outbox.closed:
             try:
-                self._socket = self._connect()
+                opened = self._connect()
             except OSError:
                 time.sleep(RETRY_TIME)
                 continue
+            with self._lock:
+                self._socket, self.problem = opened, ""
             for content in self._announced.values():
                 self._outbox.operate(json.dumps(content))
             for topic in self._subscriptions:
                 self._outbox.operate(json.dumps(self._subscription(topic)))
-            self.problem = ""
             return
 
     def _take(self, text: str | bytes, arrival: int) -> None:

@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from kraft.driving.messages import Cycle
+from kraft.errors import KraftError
 from kraft.planning.workspace import pose_of
 from kraft.robot.bag import BagWriter, scene
 from kraft.robot.command import CommandCodec
@@ -52,6 +53,8 @@ class Display:
         )
         self._waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._feeder = threading.Thread(target=self._send, name="display", daemon=True)
+        self.problem = ""
+        """why the bag, or what is displayed, is not complete"""
 
     @property
     def draws_trees(self) -> bool:
@@ -72,6 +75,9 @@ class Display:
             self._feeder.join()
             self._ours.close()
             self._process.join()
+            if self._process.exitcode != 0:
+                code = self._process.exitcode
+                self.problem = f"the process that shows the drive and writes its bag ended early, with exit code {code}"
 
     def _feed(self, message: Any) -> None:
         """Hand over a message, in a thread: the planner does not wait for the display.
@@ -105,16 +111,23 @@ def run_display(spec: DriveSpec, bag: Path | None, arrived: Connection, other: C
     other.close()
     name_this_process("kraft display")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the planner's process tells when to stop
-    with _Sender(spec, bag) as sender:
-        while True:
-            try:
-                message = arrived.recv()
-            except (EOFError, OSError):
-                return
-            if isinstance(message, Sense):
-                sender.sensed(message)
-            else:
-                sender.show(message)
+    try:
+        with _Sender(spec, bag) as sender:
+            while (message := _received(arrived)) is not None:
+                if isinstance(message, Sense):
+                    sender.sensed(message)
+                else:
+                    sender.show(message)
+    except (OSError, KraftError) as error:  # the drive goes on, and is told at its end
+        raise SystemExit(f"kraft display: {error}") from error
+
+
+def _received(arrived: Connection) -> Any:
+    """The next message; None after the last one."""
+    try:
+        return arrived.recv()
+    except (EOFError, OSError):
+        return None
 
 
 class _Sender:
@@ -133,7 +146,7 @@ class _Sender:
     def __enter__(self) -> Self:
         """Open the bag; the transport is opened with the first cycle."""
         if self._bag_path is not None:
-            self._bag = self._stack.enter_context(BagWriter(self._bag_path))
+            self._bag = self._stack.enter_context(BagWriter(self._bag_path, keeps=True))
             for time, topic, message in scene(self._spec.task, clock.time_ns(), self._frames.map):
                 self._bag.write(topic, time, message)
         return self

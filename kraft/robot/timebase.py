@@ -78,7 +78,7 @@ class TopicClock:
             received = self._received
             if received and stamp < received[-1][1]:
                 received.clear()  # another simulation has begun
-                self._last = 0
+                self._last, self.is_running = 0, False
             received.append((arrival, stamp))
             while arrival - received[0][0] > WINDOW:
                 received.popleft()
@@ -102,7 +102,10 @@ class TopicClock:
     def now(self) -> int:
         """Time of the simulation, ns."""
         with self._lock:
-            self._last = max(self._last, self.at(time.monotonic_ns()))
+            now = self.at(time.monotonic_ns())
+            if not self.is_running:
+                return now  # which is not of the simulation, and may be later than all of its times
+            self._last = max(self._last, now)
             return self._last
 
     def stamp(self) -> int:

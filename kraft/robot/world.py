@@ -172,9 +172,9 @@ class RobotWorld:
             if self._began and steps >= records.due:
                 records.number = int(steps * dt * RECORD_RATE) + 1
                 self._record(on_step)
-            if outcome is None:
-                outcome = self._outcome()
-                ended = None if outcome is None else world.time
+            found = self._outcome()
+            if outcome is None or (found is Outcome.COLLISION and outcome is not found):  # also after the goal
+                outcome, ended = found, None if found is None else world.time
             steps += CHUNK
             if not self._began:
                 if self.cancelled or steps * dt > patience:
@@ -182,7 +182,7 @@ class RobotWorld:
             elif world.collision is None:
                 world.step(CHUNK)
             coasted = abs(world.speed) < STANDS or world.time > (ended or 0.0) + COASTING
-            over = world.collision is not None or (coasted and not stays)
+            over = outcome is Outcome.COLLISION or (coasted and not stays)
             if self.cancelled or (outcome is not None and over):
                 break
         return self._result(outcome or Outcome.TIMEOUT, world.time if ended is None else ended)

@@ -10,6 +10,7 @@ import os
 import struct
 import warnings
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal, Self, TypeAlias
@@ -94,6 +95,17 @@ class OccupancyMap:
     def __hash__(self) -> int:
         return hash((self.occupied.tobytes(), self.occupied.shape, self.resolution, self.origin))
 
+    def cropped(self, x: Vec2, y: Vec2) -> OccupancyMap:
+        """Part of the map that holds a rectangle from x[0], y[0] to x[1], y[1] m; a cell outside of it if none does."""
+        x0, y0, yaw = self.origin
+        c, s = math.cos(yaw), math.sin(yaw)
+        corners = [(px - x0, py - y0) for px in x for py in y]
+        columns = _cells([c * dx + s * dy for dx, dy in corners], self.resolution, self.occupied.shape[1])
+        rows = _cells([c * dy - s * dx for dx, dy in corners], self.resolution, self.occupied.shape[0])
+        u, v = columns.start * self.resolution, rows.start * self.resolution
+        origin = (x0 + c * u - s * v, y0 + s * u + c * v, yaw)
+        return OccupancyMap(self.occupied[rows, columns], self.resolution, origin, self.height, self.name)
+
     @property
     def grid(self) -> OccupancyGrid:
         """Grid for the planner."""
@@ -109,6 +121,12 @@ class OccupancyMap:
         c, s = math.cos(yaw), math.sin(yaw)
         size = (columns * self.resolution, rows * self.resolution)
         return Box((x0 + c * u - s * v, y0 + s * u + c * v), size, yaw, self.height, self.name)
+
+
+def _cells(along: Sequence[float], resolution: float, count: int) -> slice:
+    """Cells of a row of `count` that hold all places (m from its beginning), at least one."""
+    first = min(max(math.floor(min(along) / resolution), 0), count - 1)
+    return slice(first, min(max(math.ceil(max(along) / resolution), first + 1), count))
 
 
 Obstacle: TypeAlias = Box | Circle | Polygon | OccupancyMap

@@ -339,7 +339,10 @@ class _Reader:
 
     def _faces_up(self, plane: Element) -> bool:
         normal = plane.first("normal")
-        return normal is None or normal.text.split() == ["0", "0", "1"]
+        if normal is None:
+            return True
+        x, y, z = self.read(normal, 3)
+        return z > 0.0 and math.hypot(x, y) <= UPRIGHT * z
 
     def pose(self, element: Element) -> Pose:
         """Pose of an element in its parent."""

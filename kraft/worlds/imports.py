@@ -312,9 +312,10 @@ def read_dynobench(path: Path, vehicle: str | None, *, skip: bool = False) -> Im
     if len(content.robots) > 1:
         problem = f"there are {counted(len(content.robots), 'robot')}"
         problems.append(source.diagnostic(("robots", 1), problem, "expected one", code=Code.VALUE))
-    if vehicle is None and robot.type not in VEHICLES:
+    if robot.type in OTHERS or (vehicle is None and robot.type not in VEHICLES):
         problem = f"the robot {robot.type} {OTHERS.get(robot.type, 'is not known')}"
-        expected = f"expected {alternatives(VEHICLES)}, or that a vehicle is given"
+        given = "" if robot.type in OTHERS else ", or that a vehicle is given"
+        expected = f"expected {alternatives(VEHICLES)}{given}"
         problems.append(source.diagnostic(("robots", 0, "type"), problem, expected, code=Code.UNKNOWN))
     obstacles = _obstacles(content.environment, source, problems)
     if problems:
@@ -400,7 +401,8 @@ def _obstacles(environment: EnvironmentFile, source: Source, problems: list[Diag
 
 def _start(robot: RobotFile) -> dict[str, float]:
     x, y, theta, *rest = robot.start
-    return {"x": x, "y": y, "heading_deg": _degrees(theta), "speed": rest[0] if rest else 0.0}
+    speed = rest[0] if rest and robot.type in VEHICLES else 0.0  # what else other robots have is not known
+    return {"x": x, "y": y, "heading_deg": _degrees(theta), "speed": speed}
 
 
 def _goal(robot: RobotFile, *, own: bool) -> dict[str, Any]:

@@ -20,6 +20,8 @@ from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 
 SUITE: Final = "suite.yaml"
 SENSING: Final = {"preset": "planar", "rate_hz": 50}
+DIGITS: Final = 12
+"""Of the numbers in a scenario file."""
 HEIGHT: Final = 6.0
 """Height of the camera, m."""
 Start = tuple[float, float, float]
@@ -54,9 +56,9 @@ class World:
         for key, value in self.content.items():
             if key == "obstacles":
                 lines.append("obstacles:" if value else "obstacles: []")
-                lines += [f"  - {value_text(obstacle)}" for obstacle in value]
+                lines += [f"  - {value_text(obstacle, DIGITS)}" for obstacle in value]
             else:
-                lines.append(f"{key}: {value_text(value)}")
+                lines.append(f"{key}: {value_text(value, DIGITS)}")
         return "\n".join(lines) + "\n"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -42,9 +43,18 @@ def drive(
         terminal.json(DRIVE_SCHEMA, drive_json(driven))
     else:
         show_rows(terminal, drive_table(driven), good=driven.reached)
-    if driven.outcome == "interrupted":
+    return driven_status(terminal, driven.outcome, driven.unwritten)
+
+
+def driven_status(terminal: Terminal, outcome: str, unwritten: Sequence[str]) -> ExitStatus:
+    """Exit code of a drive with an outcome, after a report of what could not be written."""
+    for problem in unwritten:
+        terminal.problem(problem)
+    if outcome == "interrupted":
         return ExitStatus.INTERRUPTED
-    return ExitStatus.DONE if driven.reached else ExitStatus.NEGATIVE
+    if unwritten:
+        return ExitStatus.INVALID
+    return ExitStatus.DONE if outcome == "success" else ExitStatus.NEGATIVE
 
 
 def world(

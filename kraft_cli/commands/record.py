@@ -64,7 +64,7 @@ def record(
         record_logs(request, terminal.info, ended)
     except KeyboardInterrupt:
         kept = (
-            f"; {len(done)} of {counted(request.count, 'run')} kept in {out}" if done else " before the first run ended"
+            f"; {len(done)} of {counted(done[-1].of, 'run')} kept in {out}" if done else " before the first run ended"
         )
         terminal.problem(f"stopped{kept}")
         return ExitStatus.INTERRUPTED

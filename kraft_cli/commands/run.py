@@ -67,6 +67,7 @@ def run(
 
 
 def _run_in_real_time(terminal: Terminal, request: RunRequest, json: bool) -> ExitStatus:
+    from kraft_cli.commands.drive import driven_status
     from kraft_cli.tables import show_rows
     from kraft_cli.work.realtime import realtime_json, realtime_table, run_in_real_time
     from kraft_cli.work.run_folder import SCHEMA
@@ -77,6 +78,4 @@ def _run_in_real_time(terminal: Terminal, request: RunRequest, json: bool) -> Ex
         terminal.json(SCHEMA, realtime_json(run))
     else:
         show_rows(terminal, realtime_table(run), good=success)
-    if run.outcome == "interrupted":
-        return ExitStatus.INTERRUPTED
-    return ExitStatus.DONE if success else ExitStatus.NEGATIVE
+    return driven_status(terminal, run.outcome, run.driven.unwritten)

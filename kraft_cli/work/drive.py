@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +15,7 @@ from kraft.config.overrides import parse_overrides
 from kraft.driving.control import needs_steps
 from kraft.driving.messages import Cycle
 from kraft.driving.method import Method, load_method
-from kraft.errors import Diagnostic, InputError, KraftError, Problems, out_of_range
+from kraft.errors import Diagnostic, InputError, MissingError, Problems, out_of_range
 from kraft.evaluation.statistics import percentile, while_driving
 from kraft.files import write_json
 from kraft.planning.compilation import ensure_compiled
@@ -36,6 +36,7 @@ from kraft_cli.work.run_folder import check_run_folder
 from kraft_cli.work.verbose import vehicle_details
 
 DRIVE_SCHEMA: Final = "kraft.drive/1"
+MANIFEST: Final = "manifest.json"
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,8 @@ class Driven:
     request: DriveRequest
     spec: DriveSpec
     result: DriveResult
+    unwritten: tuple[str, ...] = ()
+    """why some of its files are not complete"""
 
     @property
     def outcome(self) -> str:
@@ -101,7 +104,7 @@ def drive_robot(
     check_reachable(spec.task, spec.vehicle)
     if out is not None:
         out.mkdir(parents=True)
-        write_json(out / "manifest.json", _manifest(request, spec))
+        write_json(out / MANIFEST, _manifest(request, spec))
     on_check = partial(_report_checks, report=report, problem=problem)
     newest: list[Status] = []
 
@@ -119,15 +122,25 @@ def drive_robot(
                 display.show(cycle)
 
             result = drive(spec, on_check, on_cycle, on_status, display.sensed, keep_trees=display.draws_trees)
-    except KraftError:  # nothing was driven
+    except (InputError, MissingError):
         if out is not None:
-            (out / "manifest.json").unlink()
-            out.rmdir()
+            _remove_undriven(out)
         raise
-    driven = Driven(request, spec, result)
+    unwritten = [*result.unwritten, *((display.problem,) if display.problem else ())]
+    driven = Driven(request, spec, result, tuple(unwritten))
     if out is not None:
-        write_json(out / "result.json", {"schema": DRIVE_SCHEMA, **drive_json(driven)})
+        try:
+            write_json(out / "result.json", {"schema": DRIVE_SCHEMA, **drive_json(driven)})
+        except InputError as error:  # the result is printed
+            driven = replace(driven, unwritten=(*unwritten, str(error)))
     return driven
+
+
+def _remove_undriven(out: Path) -> None:
+    """Remove the folder of a drive that has not begun."""
+    if [path.name for path in out.iterdir()] == [MANIFEST]:
+        (out / MANIFEST).unlink()
+        out.rmdir()
 
 
 def _report_checks(checked: Checked, report: Callable[[str], None], problem: Callable[[str], None]) -> None:
@@ -164,10 +177,14 @@ def resolve(request: DriveRequest) -> DriveSpec:
     assert scenario is not None, "every problem was raised"
     vehicle = planning_vehicle(scenario, method, request.vehicle)
     camera = camera_model(scenario) if robot.pose.level_camera else None
-    return DriveSpec(
+    spec = DriveSpec(
         scenario.task(), on_the_clock(method), limited(vehicle, robot), robot, scenario.trial.timeout, request.seed,
         request.out, camera,
     )  # fmt: skip
+    if late := robot.too_slow(1.0 / spec.period):
+        problem = f"{spec.method.name} sends {1.0 / spec.period:g} a second, {late[0]}"
+        raise InputError([robot.source.diagnostic("command.timeout", problem, f"{late[1]} (rate_hz)")])
+    return spec
 
 
 def _method(name: str) -> Method:
@@ -249,6 +266,7 @@ def drive_json(driven: Driven) -> dict[str, Any]:
         "planning_ms_p99": percentile(while_driving(decisions.planning_ms), 0.99),
         "checks": [{"name": c.name, "state": c.state, "detail": c.detail} for c in result.checked.checks],
         "folder": str(driven.request.out) if driven.request.out else None,
+        "unwritten": list(driven.unwritten),
     }
 
 
@@ -270,4 +288,4 @@ def drive_table(driven: Driven) -> list[tuple[str, str]]:
     ]
     rows += [("refused poses", f"{count}: {why}") for why, count in ended.refused.items()]
     made = (("bag", driven.request.bag), ("written to", driven.request.out))
-    return rows + [(name, str(path)) for name, path in made if path is not None]
+    return rows + [(name, str(path)) for name, path in made if path is not None and path.exists()]

@@ -108,7 +108,10 @@ def _world(request: WorldRequest) -> Iterator[Callable[[], WorldResult]]:
 
 def _received(connection: Connection) -> Any:
     """What the world sends; an error of it is raised."""
-    message = connection.recv()
+    try:
+        message = connection.recv()
+    except (EOFError, ConnectionResetError):
+        raise Defect("the process of the simulated robot has ended") from None
     if isinstance(message, Exception):
         raise message
     return message
@@ -164,6 +167,7 @@ def realtime_json(run: RealtimeRun) -> dict[str, Any]:
         "checks": drive["checks"],
         "set": {each.key: each.value for each in parse_overrides(run.request.settings, "set")},
         "folder": drive["folder"],
+        "unwritten": drive["unwritten"],
     }
 
 

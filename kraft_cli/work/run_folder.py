@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from kraft.errors import Code, InputError
 from kraft.evaluation.experiment import MANIFEST, Experiment, manifest_of
-from kraft.files import check_writable, write_csv, write_json, write_whole
+from kraft.files import check_writable, new_folder, write_csv, write_json, write_whole
 from kraft.trial.result import TrialResult, cycle_content
 from ompl_ext.vehicle import Vehicle
 
@@ -42,11 +42,13 @@ def write_run(
         InputError: if a file cannot be written.
     """
     recorded = {**manifest_of(experiment, arguments), "schema": MANIFEST_SCHEMA}
-    write_csv(folder / "steps.csv", step_heading(vehicle), _steps(result))
-    write_csv(folder / "observations.csv", ("time", "arrival", "x", "y", "theta"), _observations(result))
-    write_whole(folder / "cycles.jsonl", "".join(json.dumps(cycle_content(c)) + "\n" for c in result.cycles).encode())
-    write_json(folder / "result.json", {"schema": SCHEMA, **content})
-    write_json(folder / MANIFEST, recorded)
+    cycles = "".join(json.dumps(cycle_content(cycle)) + "\n" for cycle in result.cycles)
+    with new_folder(folder) as new:
+        write_csv(new / "steps.csv", step_heading(vehicle), _steps(result))
+        write_csv(new / "observations.csv", ("time", "arrival", "x", "y", "theta"), _observations(result))
+        write_whole(new / "cycles.jsonl", cycles.encode())
+        write_json(new / "result.json", {"schema": SCHEMA, **content})
+        write_json(new / MANIFEST, recorded)
 
 
 def step_heading(vehicle: Vehicle) -> tuple[str, ...]:

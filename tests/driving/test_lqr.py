@@ -100,9 +100,33 @@ def test_gains_follow_the_parameters_of_the_model() -> None:
     of = VehicleModel(load_vehicle("unicycle2"))
     plan = planned(of, np.array([0.5, 0.1]))
     off = plan.states[5] + np.array([0.0, 0.05, 0.0, 0.0, 0.0])
-    before = make_controller(DEFAULT, of).command(Estimate(0.5, off, 0.0), plan)
+    controller = make_controller(DEFAULT, of)
+    before = controller.command(Estimate(0.5, off, 0.0), plan)
     of.set_parameters(np.array([1.0, 1.0, 0.6, 2.0]))
-    assert not np.allclose(before, make_controller(DEFAULT, of).command(Estimate(0.5, off, 0.0), plan), atol=1e-3)
+    after = controller.command(Estimate(0.5, off, 0.0), plan)
+    assert not np.allclose(before, after, atol=1e-3)
+    assert np.array_equal(after, make_controller(DEFAULT, of).command(Estimate(0.5, off, 0.0), plan))
+
+
+@pytest.mark.parametrize(
+    ("settings", "name"),
+    [
+        (DEFAULT, "unicycle2"),
+        (DEFAULT, "mushr-drive"),
+        (Kinodynamic(kind="kinodynamic"), "mushr-drive"),
+        (Geometric(kind="geometric"), "mushr-drive"),
+        (OpenLoop(kind="open_loop"), "unicycle2"),
+    ],
+)
+def test_a_reference_that_stands_has_a_control_before_its_time(settings: Lqr | OpenLoop, name: str) -> None:
+    """On the wall clock the controller ticks before the drive begins, on a reference of a single pose."""
+    of = model(name)
+    state = np.zeros(len(of.vehicle.state))
+    stands = Reference(
+        ReferenceKind.CONTINGENCY, np.zeros(1), state[None], np.empty((0, len(of.low))), of.rest, Stop(0, 0.0)
+    )
+    command = make_controller(settings, of).command(Estimate(-0.6, state, 0.0), stands)
+    assert of.advance(state, command, 0.1) == pytest.approx(state, abs=1e-9)
 
 
 def test_a_law_for_cars_gives_way_to_the_lqr_for_another_vehicle_alone() -> None:

@@ -129,3 +129,11 @@ def test_each_entry_is_driven_in_its_own_scenario(monkeypatch: pytest.MonkeyPatc
         {"goal.radius": 0.3, "sensing.noise_scale": 3},
     ]
     assert all(result.paper is None for result in found.summary.results)
+
+
+@pytest.mark.parametrize("suite", [None, "hard"])
+@pytest.mark.parametrize("values", [[1, 1], [2, 1, 1.0]])
+def test_a_value_that_is_varied_twice_is_refused_also_in_python(suite: str | None, values: list[float]) -> None:
+    scenarios = [] if suite else ["turns"]
+    (problem,) = raised(lambda: entries_of(scenarios, suite=suite, vary={"sensing.noise_scale": values}))
+    assert (problem.file, problem.path, problem.code) == ("vary", "sensing.noise_scale", Code.DUPLICATE)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,10 @@ from support.script import output_of
 from kraft.driving.method import load_method
 from kraft.logs.reader import read_logs
 from kraft.recording.recorder import Recorder, write_recording
-from kraft.robot.bag import EPOCH, write_trial
+from kraft.robot.bag import EPOCH, BagWriter, scene, write_trial
 from kraft.robot.bag import write_recording as write_bag
 from kraft.robot.display import occupancy_grid
-from kraft.scenario import load_scenario, parse_scenario
+from kraft.scenario import OccupancyMap, load_scenario, parse_scenario
 from kraft.sysid import identify
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
@@ -192,3 +193,45 @@ def test_a_run_in_json_names_no_bag_by_itself(tmp_path: Path, capsys: pytest.Cap
     ]
     assert main(arguments) == 1
     assert json.loads(capsys.readouterr().out)["schema"] == "kraft.run/1"
+
+
+@pytest.mark.parametrize("resolution", [0.011, 0.02, 0.05, 0.06, 0.13])
+@pytest.mark.parametrize("yaw", [0.0, 0.4])
+def test_walls_of_one_cell_are_whole_in_the_map_however_fine_theirs_is(resolution: float, yaw: float) -> None:
+    task = load_scenario("turns", {"obstacles": []}).task()
+    (x0, x1), (y0, y1) = task.bounds.x, task.bounds.y
+    count = round(1.0 / resolution)
+    for column in range(8):
+        occupied = np.zeros((count, count), bool)
+        occupied[:, column] = True
+        walls = OccupancyMap(occupied, resolution, (x0 + 0.5, y0 + 0.3, yaw))
+        info = (grid := occupancy_grid(replace(task, obstacles=(walls,)), EPOCH, "map")).info
+        cells = grid.data.reshape(info.height, info.width) == 100
+        along = np.linspace(0.001, count * resolution - 0.001, 400)
+        across = (column + 0.5) * resolution
+        x = x0 + 0.5 + math.cos(yaw) * across - math.sin(yaw) * along
+        y = y0 + 0.3 + math.sin(yaw) * across + math.cos(yaw) * along
+        there = (x > x0) & (x < x1) & (y > y0) & (y < y1)
+        rows, columns = ((y - y0) / info.resolution).astype(int), ((x - x0) / info.resolution).astype(int)
+        assert there.any()
+        assert cells[rows[there], columns[there]].all()
+        assert cells.mean() < 0.1
+
+
+@pytest.mark.parametrize("keeps", [True, False])
+def test_of_a_bag_that_ends_early_what_is_written_stays_if_it_shall(tmp_path: Path, keeps: bool) -> None:
+    def write() -> None:
+        with BagWriter(tmp_path / "x.mcap", keeps=keeps) as bag:
+            for time, topic, message in scene(load_scenario("turns").task(), EPOCH, "map"):
+                bag.write(topic, time, message)
+            raise OSError(28, "the disk is full")
+
+    with pytest.raises(OSError, match="full"):
+        write()
+    assert [path.name for path in tmp_path.iterdir()] == (["x.mcap"] if keeps else [])
+    if keeps:
+        with (tmp_path / "x.mcap").open("rb") as stream:
+            assert {channel.topic for _, channel, _ in make_reader(stream).iter_messages()} == {
+                "/map",
+                "/markers/scene",
+            }

@@ -20,11 +20,13 @@ from mcap_ros2.decoder import DecoderFactory
 from websockets.sync.client import connect
 
 from benchmarks.rig import ROBOT, Rig
+from kraft.errors import Defect, InputError
 from kraft.logs.reader import read_logs
 from kraft.robot.messages import ACKERMANN, GRID, POSE, header, make, pose_fields, stamped_pose
 from kraft.robot.show import KINDS
 from kraft.trial.result import Outcome
 from kraft_cli.main import main
+from kraft_cli.work import drive as work
 
 DOMAINS = itertools.count(10 + threading.get_native_id() % 80)
 
@@ -244,3 +246,47 @@ def test_nobody_at_the_address_is_one_line_and_leaves_no_folder(
     (line,) = capfd.readouterr().err.splitlines()
     assert line.startswith("transport: nobody answers at ws://localhost:1")
     assert not (tmp_path / "out").exists()
+
+
+class Nothing:
+    """A display that shows nothing."""
+
+    draws_trees, problem = False, ""
+
+    def __init__(self, *_: object) -> None:
+        return None
+
+    def __enter__(self) -> Nothing:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+    def sensed(self, sense: object) -> None:
+        return None
+
+    show = sensed
+
+
+@pytest.mark.parametrize(
+    ("error", "begun", "kept"),
+    [
+        (Defect("a plan fails verification"), True, True),
+        (InputError.of("transport", "is gone", "expected it"), True, True),
+        (InputError.of("transport", "is not there", "expected it"), False, False),
+    ],
+)
+def test_what_is_driven_is_never_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, begun: bool, kept: bool
+) -> None:
+    def driven(spec: Any, *_: Any, **__: Any) -> None:
+        if begun:
+            (spec.folder / "cycles.jsonl").write_text("{}\n")
+        raise error
+
+    for name, replacement in (("drive", driven), ("Display", Nothing), ("ensure_compiled", lambda *_, **__: None)):
+        monkeypatch.setattr(work, name, replacement)
+    request = work.DriveRequest("turns", "sim", out=tmp_path / "out")
+    with pytest.raises(type(error), match=str(error)):
+        work.drive_robot(request, print, print, print)
+    assert (tmp_path / "out" / "manifest.json").exists() == (tmp_path / "out").exists() == kept

@@ -79,3 +79,9 @@ def test_two_late_decisions_of_four_are_trouble() -> None:
     for _ in range(3):
         health.decision(late=False)
     assert health.trouble(5.0) == ""
+
+
+@pytest.mark.parametrize("lost", [0.1, 0.15, 0.2])
+def test_a_share_that_may_be_lost_is_no_trouble_from_the_first_tick_on(lost: float) -> None:
+    health = Health(Watchdog(), 30.0, PERIOD)
+    assert drive(health, 20.0, lambda k: int(int((k + 1) * lost) == int(k * lost)), in_time) == []

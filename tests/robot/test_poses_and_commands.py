@@ -6,6 +6,7 @@ import math
 import time
 from dataclasses import replace
 from multiprocessing import Pipe
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,12 @@ from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
 from kraft.robot.command import CommandCodec, limited
 from kraft.robot.control import Control
-from kraft.robot.drive import Planner, check_method, on_the_clock
+from kraft.robot.drive import Planner, changed, check_method, on_the_clock
 from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs, occupancy_map
 from kraft.robot.journal import Journal
 from kraft.robot.loopback import LoopbackBus
-from kraft.robot.messages import GRID, make, pose_fields
+from kraft.robot.messages import BOOL, GRID, make, pose_fields
 from kraft.robot.poses import Clocks, PoseGuard, Received, units_hint
 from kraft.robot.protocol import Begin, DriveSpec, Guarded, Mailbox, PlanRequest, Sense, TaskChange
 from kraft.robot.robot_file import Robot
@@ -124,7 +125,21 @@ def test_a_cycle_on_the_clock_has_its_own_duration_and_leaves_time_to_decide(tim
     changed = method.model_copy(update={"planner": planner.model_copy(update=timing)})
     with pytest.raises(InputError) as error:
         check_method(changed)
-    assert [problem.path for problem in error.value.diagnostics] == [key]
+    (problem,) = error.value.diagnostics
+    assert problem.path == key
+    assert problem.expected.startswith("expected at least 0.6 s on the wall clock")
+
+
+def test_the_least_cycle_on_the_clock_is_the_one_that_the_problem_states() -> None:
+    method = load_method("adaptive-kraft")
+    for cycle, lead, refused in ((0.6, 0.1, False), (0.7, 0.5, True), (0.8, 0.5, False)):
+        timing = {"clock_cycle": cycle, "lead": lead}
+        changed = method.model_copy(update={"planner": method.planner.model_copy(update=timing)})
+        if refused:
+            with pytest.raises(InputError, match=r"at least 0\.8 s"):
+                check_method(changed)
+        else:
+            check_method(changed)
 
 
 def received(
@@ -316,3 +331,62 @@ def test_the_planner_identifies_nothing_from_the_time_in_which_something_held_th
     monkeypatch.setattr(planner._estimator, "leave_out", lambda *span: left_out.append(span))
     planner.decide(PlanRequest(-0.3, 0, Sense(0), begun.commitment))
     assert left_out == [(0.1, 2.2)]
+
+
+def test_a_simulation_whose_time_is_less_than_the_machines_runs_and_its_dead_man_is_heard(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Before the time is known, the clock is asked for already: a dead man is held before the first poses come."""
+    described = robot(clock={"topic": "/clock"}, dead_man={"topic": "/dead", "type": "std_msgs/msg/Bool"})
+    bus = LoopbackBus()
+    inputs, simulation = Inputs(described, bus.node("kraft")), bus.node("world")
+    monotonic = [10**14]
+    for place in ("loopback", "timebase", "inputs"):
+        monkeypatch.setattr(f"kraft.robot.{place}.time.monotonic_ns", lambda: monotonic[0])
+
+    def simulate(begin: float, seconds: float) -> None:
+        for k in range(round(seconds / 0.02)):
+            monotonic[0] += 20_000_000
+            simulation.publish("/clock", clock_message(round(1e9 * (begin + 0.02 * k))))
+            simulation.publish("/dead", make(BOOL, data=True))
+            assert inputs.trouble == ""
+            inputs.clock.now()
+
+    simulate(5.0, 3.0)
+    assert 1e-9 * inputs.clock.now() == pytest.approx(8.0, abs=0.05)
+    simulate(1.0, 3.0)  # another simulation
+    assert 1e-9 * inputs.clock.now() == pytest.approx(4.0, abs=0.05)
+    monotonic[0] += 600_000_000
+    assert "is silent" in inputs.trouble
+
+
+def test_of_a_large_map_only_what_is_near_the_bounds_is_planned_with() -> None:
+    task = load_scenario("turns").task()
+    (x0, x1), (y0, y1) = task.bounds.x, task.bounds.y
+    generator = np.random.default_rng(0)
+    whole = OccupancyMap(generator.random((900, 1100)) < 0.05, 0.05, (x0 - 20.0, y0 - 15.0, 0.3), name="map")
+    *_, used = changed(task, None, whole).obstacles
+    assert isinstance(used, OccupancyMap)
+    assert used.occupied.size < 0.1 * whole.occupied.size
+
+    def occupied(grid: OccupancyMap, x: float, y: float) -> bool:
+        c, s = math.cos(grid.origin[2]), math.sin(grid.origin[2])
+        dx, dy = x - grid.origin[0], y - grid.origin[1]
+        return bool(grid.occupied[int((c * dy - s * dx) / grid.resolution), int((c * dx + s * dy) / grid.resolution)])
+
+    for x, y in generator.uniform((x0, y0), (x1, y1), (300, 2)).tolist():
+        assert occupied(used, x, y) == occupied(whole, x, y)
+    elsewhere = OccupancyMap(np.ones((4, 5), bool), 0.1, (x1 + 50.0, y0, 0.0), name="map")
+    *_, used = changed(task, None, elsewhere).obstacles
+    assert isinstance(used, OccupancyMap)
+    assert used.occupied.shape == (4, 1)
+
+
+def test_a_drive_goes_on_when_its_tables_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "steps.csv").symlink_to("/dev/full")
+    with Journal(tmp_path, {"steps": ["a"], "events": ["time", "event"]}) as journal:
+        for k in range(3):
+            journal.row("steps", k)
+        journal.row("events", 1.0, "later")
+    assert journal.problem.startswith(f"{tmp_path / 'steps.csv'}: cannot be written: ")
+    assert not (tmp_path / "events.csv").exists()

@@ -17,8 +17,10 @@ from kraft.robot.robot_file import load_robot
 from kraft.robot.transport import Peers, Receive
 from kraft.robot.world import RobotWorld, WorldResult
 from kraft.scenario import load_scenario
+from kraft.simulation.contacts import Collision
 from kraft.simulation.true_world import TrueWorld
 from kraft.trial.measures import Step
+from kraft.trial.result import Outcome
 
 STALL = 0.4
 DRIVEN = 1.5
@@ -106,3 +108,41 @@ def test_a_simulation_that_cannot_keep_up_says_how_much_it_lost(monkeypatch: pyt
     monkeypatch.setattr(robot_world, "BEHIND", 0.2)
     _, result, _ = driven(lambda stop: time.sleep(STALL))
     assert result.lost >= result.lag >= 0.9 * STALL
+
+
+class Rolling:
+    """World in which the car reaches the goal at once, and a wall half a second later."""
+
+    speed = 0.7
+
+    def __init__(self, true: TrueWorld) -> None:
+        self.dt, self.controls, self.marker, self.pose = true.dt, true.controls, true.marker, true.pose
+        self.movable_poses, self.steps = true.movable_poses, 0
+
+    @property
+    def time(self) -> float:
+        return self.steps * self.dt
+
+    @property
+    def in_goal(self) -> bool:
+        return self.time > 0.1
+
+    @property
+    def collision(self) -> Collision | None:
+        return Collision(self.time, "wall", (0.0, 0.0, 0.0)) if self.time > 0.5 else None
+
+    def step(self, number: int) -> None:
+        self.steps += number
+
+    def apply(self, control: np.ndarray) -> None:
+        return None
+
+
+def test_a_wall_that_is_hit_after_the_goal_is_a_collision() -> None:
+    scenario, robot = load_scenario("boxes"), load_robot("sim").model_copy(update={"clock": None})
+    world = RobotWorld(scenario, vehicle_of_task(scenario), robot, Wire(), 0)
+    world.world = Rolling(world.world)  # type: ignore[assignment]
+    world._began = True
+    result = world.run(stays=True)
+    assert (result.outcome, result.obstacle) == (Outcome.COLLISION, "wall")
+    assert result.time == pytest.approx(0.5, abs=0.1)

@@ -147,7 +147,11 @@ def test_not_a_number_survives_every_form() -> None:
 
 def test_an_orientation_that_is_no_rotation_has_no_yaw() -> None:
     assert math.isnan(yaw_of(stamped_pose(0, "map", (0, 0, 0)).pose.orientation.__class__(0.0, 0.0, 0.0, 0.0)))
-    assert yaw_of(stamped_pose(0, "map", (0, 0, -3.0)).pose.orientation) == pytest.approx(-3.0)
+    turned = stamped_pose(0, "map", (0, 0, -3.0)).pose.orientation
+    assert yaw_of(turned) == pytest.approx(-3.0)
+    for factor in (0.96, 1.04):
+        rounded = turned.__class__(*(factor * getattr(turned, name) for name in "xyzw"))
+        assert yaw_of(rounded) == pytest.approx(-3.0)
 
 
 def test_the_names_in_dds_are_those_of_ros_2() -> None:
@@ -260,7 +264,11 @@ def test_a_lost_connection_is_reported_and_made_again() -> None:
     server.close()
     assert eventually(lambda: "is lost" in client.problem)
     server = RosbridgeServer(settings)
+    before = client._socket
     assert eventually(lambda: client.problem == "")
+    client._lost(object(), OSError("of the connection before"))
+    assert client.problem == ""
+    assert client._socket is not before
 
     def heard() -> bool:
         server.publish("/pose", stamped_pose(1, "map", (0, 0, 0)))

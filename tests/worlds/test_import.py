@@ -28,7 +28,7 @@ def model(name: str, shape: str, pose: str = "0 0 0 0 0 0", inner: str = "") -> 
     )
 
 
-GROUND = model("ground", "<plane><normal>0 0 1</normal><size>9 9</size></plane>")
+GROUND = model("ground", "<plane><normal>0 0.0 1.00</normal><size>9 9</size></plane>")
 
 
 def sdf(*models: str) -> str:
@@ -161,6 +161,8 @@ def test_a_robot_that_is_no_vehicle_of_kraft_is_refused_at_its_line_and_says_why
     said = capsys.readouterr().err
     assert "problem.yaml:9:11" in said
     assert f"{robot} {OTHERS.get(robot, 'is not known')}" in said
+    given = main(["import", "dynobench", str(source), "--vehicle", "mushr", "--out", str(tmp_path / "out")])
+    assert given == (2 if robot in OTHERS else 0)  # a trailer's angle must not become a speed
 
 
 def test_a_problem_of_dynobench_keeps_its_states_and_names_its_vehicle(tmp_path: Path) -> None:

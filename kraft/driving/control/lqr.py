@@ -48,7 +48,7 @@ class LqrController:
         self._state_cost = np.diag(tolerated**-2.0)
         self._control_cost = np.diag((settings.control_share * (model.high - model.low)) ** -2.0)
         self._settling = settings.settling
-        self._gains: list[tuple[Reference, Floats]] = []
+        self._gains: list[tuple[Reference, Floats, Floats]] = []
 
     def __deepcopy__(self, memo: object) -> Self:
         """Return the controller itself, which has no state but gains that it would compute again."""
@@ -57,7 +57,7 @@ class LqrController:
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) at the estimate's time."""
         model, time, state = self._model, estimate.time, estimate.state
-        if time >= reference.end - 1e-9:
+        if time >= reference.end - 1e-9 or len(reference.controls) == 0:  # one that stands is a single pose
             number = 0 if reference.stop is None else reference.stop.manoeuvre
             return model.clamped(model.stop_control(state, number))
         planned = reference.state_at(time)
@@ -81,11 +81,12 @@ class LqrController:
 
     def _gains_of(self, reference: Reference) -> Floats:
         """Gains (m - 1, nu, nx) of a reference, one for each of its intervals."""
-        for known, gains in self._gains:
-            if known is reference:
+        parameters = self._model.parameters
+        for known, learned, gains in self._gains:
+            if known is reference and np.array_equal(learned, parameters):
                 return gains
         gains = self._computed(reference)
-        self._gains = [*self._gains[-KEPT + 1 :], (reference, gains)]
+        self._gains = [*self._gains[-KEPT + 1 :], (reference, parameters.copy(), gains)]
         return gains
 
     def _computed(self, reference: Reference) -> Floats:
