@@ -24,7 +24,7 @@ from kraft.planning.plan_file import vehicle_content
 from kraft.planning.workspace import start_state
 from kraft.provenance import SIMULATION, plain, plain_hash, versions
 from kraft.scenario import Scenario
-from kraft.trial.result import check_robot, load_planning_vehicle, vehicle_reference
+from kraft.trial.planning_vehicle import check_robot, load_planning_vehicle, vehicle_reference
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from ompl_ext.vehicle import Vehicle

@@ -20,8 +20,9 @@ from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation.replay import Replay
 from kraft.files import LineFile, unwritable
 from kraft.text import finite
+from kraft.trial.cause import Cause
 from kraft.trial.measures import Measures, Record
-from kraft.trial.result import Cause, TrialResult
+from kraft.trial.result import TrialResult
 
 Key: TypeAlias = tuple[str, str, int]
 """Entry, method and seed; the entry of a plain scenario has the scenario's name."""

@@ -11,9 +11,9 @@ integers.  Poses are (x, y, theta) in m and rad, times are in s of the trial.
 - `every`, `clearance`: true distance to the nearest obstacle at every n-th tick (m).
 - `seen`: time of each observation, and observed minus true pose.
 - `watchdog`: ticks at which the watchdog stopped the car.  `boxes`: pose of each movable box at each tick.
-- `cycles`: a list; the polylines `plan` and `contingency` have x and y at times that are multiples of `GRID`,
-  `predicted` has poses and delta(v) within the cycle, `blocked` the corners of what has blocked the vehicle.  `sent` is
-  false if the message was lost.
+- `cycles`: a list; the polylines `plan` and `contingency` have x and y at their beginning, at multiples of `GRID`, and
+  at their end, `predicted` has poses and delta(v) within the cycle, `blocked` the corners of what has blocked the
+  vehicle.  `sent` is false if the message was lost.
 
 Trees are a second text of the same kind: for each cycle points of whole branches, as x and y relative to the point
 before, and the number of that point.
@@ -200,7 +200,7 @@ def _cycle(cycle: Cycle, vehicle: Vehicle) -> dict[str, Any]:
 
 
 def _line(reference: Reference, vehicle: Vehicle) -> list[Any]:
-    """Its first time on the grid, then x and y; the rest of a plan that is kept has the same numbers again."""
+    """Its x and y, at its beginning, at times on the grid, and at its end."""
     first, last = np.ceil(reference.start / GRID - 1e-6), np.floor(reference.end / GRID + 1e-6)
     times = np.unique([reference.start, *(GRID * np.arange(first, last + 1)), reference.end])
     states = interpolated_rows(times, reference.times, reference.states)

@@ -114,7 +114,7 @@ class _Search:
         drawn = np.random.Generator(np.random.PCG64(0))
         random = [manoeuvre(NAMES[k % len(NAMES)], self._model.drive_control, drawn) for k in range(RANDOM_DRIVES)]
         paths = knowledge.simulate(random).paths
-        random = [_until(m, max(room(0, _coarse(p)), SHORTEST)) for m, p in zip(random, paths, strict=True)]
+        random = [_until(m, max(room(0, coarse(p)), SHORTEST)) for m, p in zip(random, paths, strict=True)]
         self._weight = knowledge.prediction_weight(random)
         self._reference = knowledge.simulate(random).information.sum(axis=0) * MANY
 
@@ -165,7 +165,7 @@ class _Search:
         for each in rated if limit == math.inf else rated[:CHECKS]:
             if each.error >= limit:
                 return None
-            path = _coarse(each.path)
+            path = coarse(each.path)
             if self._room(number, path) >= PATH_STEP * (len(path) - 1) - 1e-9:
                 return each
         return None
@@ -190,7 +190,7 @@ class _Rated:
     path: Matrix
 
 
-def _coarse(path: Matrix) -> Matrix:
+def coarse(path: Matrix) -> Matrix:
     """Poses `PATH_STEP` apart of a path whose poses are `information.STEP` apart."""
     return path[:: round(PATH_STEP / STEP)]
 

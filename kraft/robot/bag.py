@@ -38,7 +38,7 @@ from kraft.robot.messages import (
     types,
 )
 from kraft.scenario import Task
-from kraft.trial.result import TrialResult, TrialSpec
+from kraft.trial.result import TrialResult, TrialSpec, outcome_text
 from kraft.vehicles import CAR_CONTROLS, is_car
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
@@ -161,8 +161,8 @@ def _trial(spec: TrialSpec, result: TrialResult) -> Iterator[Timed]:
         yield time, "/tf", make(TF, transforms=moved)
     for cycle in result.cycles:
         yield from _cycle(cycle, vehicle)
-    end = f"{result.outcome}" + (f" with {result.obstacle}" if result.obstacle else "")
-    yield at(result.time), "/rosout", log_line(at(result.time), f"{end} after {result.time:.2f} s")
+    end = outcome_text(result.outcome, result.obstacle, result.time)
+    yield at(result.time), "/rosout", log_line(at(result.time), end)
 
 
 def _cycle(cycle: Cycle, vehicle: Vehicle) -> Iterator[Timed]:

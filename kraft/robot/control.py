@@ -46,7 +46,7 @@ from kraft.robot.protocol import (
     Released,
     Sense,
     Status,
-    Stop,
+    StopOrder,
     TaskChange,
     moved_goal,
 )
@@ -277,7 +277,7 @@ class Control:
                 time = min(message.time, now)  # it may have sent one since this tick began
                 if time > self._tracker.last_sent:
                     self._command(time, message.command, Estimate(time, self._tracker.estimate(time).state, 0.0))
-            elif isinstance(message, Stop):
+            elif isinstance(message, StopOrder):
                 self._end(now, "stopped", message.reason)
         self._guarded += count
         return count
@@ -298,7 +298,7 @@ class Control:
                 slowest = HURRY * max(list(self._reply_delays)[-RECENT:])
                 self._lead = min(max(self._settings.lead, slowest), LEAD_MAX * self._settings.cycle)
                 self._planned.append(message)
-            elif isinstance(message, Stop):
+            elif isinstance(message, StopOrder):
                 self._end(now, "interrupted" if not self._mailbox.closed else "stopped", message.reason)
 
     def _take_poses(self, now: float) -> list[Observation]:

@@ -42,7 +42,7 @@ from kraft.robot.protocol import (
     PlanRequest,
     Sense,
     Status,
-    Stop,
+    StopOrder,
     TaskChange,
     moved_goal,
 )
@@ -140,7 +140,7 @@ def drive(
 ) -> DriveResult:
     """Check, and drive until the goal, the time limit, a fault or an interrupt.
 
-    The first SIGINT stops the vehicle and ends the drive with its result, the second ends both processes at once.
+    The first SIGINT stops the vehicle and ends the drive with its result, the second ends planner and controller.
 
     Args:
         spec: the drive; its method fulfils `check_method`.
@@ -179,7 +179,7 @@ def _drive_in_processes(spec: DriveSpec, report: tuple[Any, Any, Any, Any], keep
             here.send(message)
 
     try:
-        with preferred_planner(), _interrupts(lambda: send(Stop("interrupted")), process):
+        with preferred_planner(), _interrupts(lambda: send(StopOrder("interrupted")), process):
             return _drive(spec, here, process, send, report, keep_trees)
     finally:
         here.close()
@@ -204,7 +204,7 @@ def _drive(
             checked = message
             on_check(checked)
             if not checked.passed or checked.pose is None:
-                send(Stop("the check list failed"))
+                send(StopOrder("the check list failed"))
                 return DriveResult(checked, None)
             send(planner.begin(checked.pose, checked.map))
             shorten_collections()

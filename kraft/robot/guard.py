@@ -21,7 +21,7 @@ from kraft.robot.connect import open_transport
 from kraft.robot.inputs import Inputs
 from kraft.robot.journal import Journal
 from kraft.robot.priority import lock_memory, name_this_process, prefer_this_process, shorten_collections
-from kraft.robot.protocol import Beat, Begin, DriveSpec, Guarded, Guarding, Mailbox, Ready, Released, Stop
+from kraft.robot.protocol import Beat, Begin, DriveSpec, Guarded, Guarding, Mailbox, Ready, Released, StopOrder
 from kraft.robot.tracker import Tracker, warm_up
 
 SILENCE: Final = 0.03
@@ -82,7 +82,7 @@ class Guard:
             elif isinstance(message, Beat):
                 self._mirror(message)
                 due = message.time + self._period + SILENCE
-            elif isinstance(message, Stop) and (due is None or self._is_done):
+            elif isinstance(message, StopOrder) and (due is None or self._is_done):
                 return  # the controller has ended before the drive, or while the vehicle stood
             elif message is None:
                 now = self._tracker.now

@@ -127,7 +127,7 @@ class Planned:
 
 
 @dataclass(frozen=True)
-class Stop:
+class StopOrder:
     """Order to stop the vehicle and end the drive."""
 
     reason: str
@@ -207,7 +207,7 @@ class Mailbox:
     """Messages of another process, taken without waiting; `closed` when it has ended."""
 
     def __init__(self, connection: Connection, peer: str) -> None:
-        """Exchange messages with `peer`; its end arrives as a `Stop`."""
+        """Exchange messages with `peer`; its end arrives as a `StopOrder`."""
         self._connection, self._peer = connection, peer
         self._arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._outgoing: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -221,7 +221,7 @@ class Mailbox:
                 self._arrived.put(self._connection.recv())
             except (EOFError, OSError):
                 self.closed = True
-                self._arrived.put(Stop(f"{self._peer} has ended"))
+                self._arrived.put(StopOrder(f"{self._peer} has ended"))
                 return
 
     def _send(self) -> None:

@@ -39,7 +39,8 @@ from kraft.robot.transport import Transport
 from kraft.scenario import Scenario
 from kraft.simulation.true_world import TrueWorld, world_of
 from kraft.simulation.world import Ticks, steps_of
-from kraft.trial.measures import ClosestApproach, Step
+from kraft.trial.closest_approach import ClosestApproach
+from kraft.trial.measures import Step
 from kraft.trial.plant import camera_of
 from kraft.trial.result import Outcome
 from ompl_ext.arrays import Floats

@@ -1,4 +1,4 @@
-"""Simulated world in MuJoCo with everything that the planner does not know; only this room reads `Scenario.truth`."""
+"""Simulated world in MuJoCo with everything that the planner does not know."""
 
 import os
 

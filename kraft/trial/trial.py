@@ -23,9 +23,11 @@ from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import model_of
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.true_world import TrueWorld, world_of
-from kraft.trial.measures import ClosestApproach, Measures, Step, measure
+from kraft.trial.cause import Cause, collision_cause, timeout_cause
+from kraft.trial.closest_approach import ClosestApproach
+from kraft.trial.measures import Measures, Step, measure
 from kraft.trial.plant import OracleEstimator, Plant, Radio, camera_model, true_model
-from kraft.trial.result import Cause, Outcome, TrialResult, TrialSpec, collision_cause, timeout_cause
+from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from ompl_ext.exact import ExactClearance
 
 OnCycle = Callable[[Cycle], None]

@@ -204,7 +204,7 @@ Points = NDArray[np.float64]
 def track(rng: np.random.Generator, scale: float, name: str) -> tuple[dict[str, Any], dict[str, bytes], float]:
     """Sections of the scenario of a lap, the files of its map, and the lap's length (m).
 
-    The start line is a wall, the goal is behind it. All lengths are multiplied by `scale`.
+    The start line is a wall, the goal is behind it. The layout is multiplied by `scale`; cells and walls are not.
     """
     line = centre_line(rng) * scale
     width, height = (size * scale for size in SIZE)

@@ -1,1 +1,1 @@
-"""One module per command; each is a few lines over `kraft`."""
+"""Commands, each a few lines over `kraft`; related ones share a module."""

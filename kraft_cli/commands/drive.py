@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from kraft_cli.commands.options import Json, PlanningModel, ScenarioName, Set
-from kraft_cli.commands.run import Seed, Video, View
+from kraft_cli.commands.run import Seed, Video, View, driven_status
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -44,17 +43,6 @@ def drive(
     else:
         show_rows(terminal, drive_table(driven), good=driven.reached)
     return driven_status(terminal, driven.outcome, driven.unwritten)
-
-
-def driven_status(terminal: Terminal, outcome: str, unwritten: Sequence[str]) -> ExitStatus:
-    """Exit code of a drive with an outcome, after a report of what could not be written."""
-    for problem in unwritten:
-        terminal.problem(problem)
-    if outcome == "interrupted":
-        return ExitStatus.INTERRUPTED
-    if unwritten:
-        return ExitStatus.INVALID
-    return ExitStatus.DONE if outcome == "success" else ExitStatus.NEGATIVE
 
 
 def world(

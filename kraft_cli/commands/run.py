@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -67,7 +68,6 @@ def run(
 
 
 def _run_in_real_time(terminal: Terminal, request: RunRequest, json: bool) -> ExitStatus:
-    from kraft_cli.commands.drive import driven_status
     from kraft_cli.tables import show_rows
     from kraft_cli.work.realtime import realtime_json, realtime_table, run_in_real_time
     from kraft_cli.work.run_folder import SCHEMA
@@ -79,3 +79,14 @@ def _run_in_real_time(terminal: Terminal, request: RunRequest, json: bool) -> Ex
     else:
         show_rows(terminal, realtime_table(run), good=success)
     return driven_status(terminal, run.outcome, run.driven.unwritten)
+
+
+def driven_status(terminal: Terminal, outcome: str, unwritten: Sequence[str]) -> ExitStatus:
+    """Exit code of a drive with an outcome, after a report of what could not be written."""
+    for problem in unwritten:
+        terminal.problem(problem)
+    if outcome == "interrupted":
+        return ExitStatus.INTERRUPTED
+    if unwritten:
+        return ExitStatus.INVALID
+    return ExitStatus.DONE if outcome == "success" else ExitStatus.NEGATIVE

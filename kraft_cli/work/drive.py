@@ -29,8 +29,8 @@ from kraft.robot.robot_file import Robot, load_robot
 from kraft.robot.show import Display
 from kraft.scenario import load_scenario
 from kraft.text import alternatives, counted
+from kraft.trial.planning_vehicle import planning_vehicle
 from kraft.trial.plant import camera_model
-from kraft.trial.result import planning_vehicle
 from kraft_cli.work.run import cycle_line
 from kraft_cli.work.run_folder import check_run_folder
 from kraft_cli.work.verbose import vehicle_details

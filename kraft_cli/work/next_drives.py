@@ -209,7 +209,7 @@ def drives_for(
         InputError: if the scenario has no room for any.
         NegativeResult: if no drive shows any parameter.
     """
-    from kraft.recording.experiment import planned_drives
+    from kraft.recording.experiment import coarse, planned_drives
     from kraft.sysid.information import known_before
 
     record = definition.identification
@@ -223,7 +223,7 @@ def drives_for(
     found: list[tuple[Manoeuvre, Place | None]] = []
     for k, drive in enumerate(planned_drives(known, count, room, seed), 1):
         report(f"planned drive {k} of {count}: {'; '.join(drive.words)}")
-        found.append((drive.commands, recorder.place(k, drive.path[::2])))
+        found.append((drive.commands, recorder.place(k, coarse(drive.path))))
     if not found:
         problem = f"has no room for any drive that shows the parameters of {definition.name}"
         raise InputError.of(scenario.name, problem, NO_ROOM, Code.GEOMETRY)

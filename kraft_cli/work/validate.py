@@ -25,7 +25,7 @@ from kraft.scenario.geometry import MapServerFile, read_map
 from kraft.scenario.loader import scenario_from
 from kraft.scenario.schema import ScenarioFile
 from kraft.text import nearest
-from kraft.trial.result import check_own_robot, check_robot
+from kraft.trial.planning_vehicle import check_own_robot, check_robot
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import configured, load_vehicle, read_vehicle_file
 from ompl_ext.cache_error import CacheError

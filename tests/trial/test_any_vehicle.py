@@ -8,7 +8,8 @@ import pytest
 
 from kraft.driving.method import load_method
 from kraft.scenario import load_scenario
-from kraft.trial.result import Outcome, TrialSpec, vehicle_reference
+from kraft.trial.planning_vehicle import vehicle_reference
+from kraft.trial.result import Outcome, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft_cli.main import main
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from kraft.driving.messages import ContingencyOrigin, Cycle, PredictedMotion, Reference, ReferenceKind
+from kraft.trial.cause import CauseKind, collision_cause, estimate_errors, timeout_cause
 from kraft.trial.measures import Step
-from kraft.trial.result import CauseKind, collision_cause, estimate_errors, timeout_cause
 from ompl_ext.vehicle import Footprint
 
 FOOTPRINT = Footprint(0.4, 0.2)

@@ -9,7 +9,7 @@ import pytest
 
 from kraft.planning.workspace import workspace_of
 from kraft.scenario import load_scenario
-from kraft.trial.measures import ClosestApproach
+from kraft.trial.closest_approach import ClosestApproach
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.exact import ExactClearance
 

@@ -32,7 +32,7 @@ from kraft.evaluation.report.results import VERSIONS, RecordedCell, Results
 from kraft.evaluation.report.sweeps import settings_text, sweep_pictures, sweeps
 from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted, decimals
-from kraft.trial.result import CauseKind
+from kraft.trial.cause import CauseKind
 
 LISTED: Final = 200  # unsuccessful trials of a scenario that are listed
 SHORTEST_AXIS: Final = 0.1  # of times, s: with a start in the goal every time is 0

@@ -1,0 +1,88 @@
+"""Vehicle that a method plans a scenario with, and the check that it is the robot that drives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kraft.driving.method import Method, check_vehicle
+from kraft.errors import InputError
+from kraft.planning.workspace import vehicle_of_task
+from kraft.scenario import Scenario
+from kraft.vehicles import is_car
+from kraft.vehicles.load import load_vehicle, natural_robot
+from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
+from ompl_ext.vehicle import Vehicle
+
+
+def planning_vehicle(scenario: Scenario, method: Method, vehicle: str | None = None) -> Vehicle:
+    """Model of `vehicle_reference`, loaded and checked for the method.
+
+    Raises:
+        InputError: if it cannot be loaded, or lacks what the method's estimator needs.
+    """
+    reference = vehicle_reference(scenario, method, vehicle)
+    model = load_planning_vehicle(scenario, reference)
+    check_vehicle(method, model, own=reference not in (vehicle, scenario.vehicle))
+    return model
+
+
+def vehicle_reference(scenario: Scenario, method: Method, vehicle: str | None = None) -> str:
+    """Reference of the model that the robot plans with: `vehicle`, else the method's own, else the scenario's.
+
+    The method's own is used if it is a model of the robot that the scenario's vehicle is a model of.  A path in a
+    method file is relative to that file.
+
+    Raises:
+        InputError: if the method's reference is wrong, reported at its line.
+    """
+    if vehicle is not None or method.planner.vehicle is None:
+        return vehicle or scenario.vehicle
+    try:
+        own = resolve_vehicle(method.planner.vehicle, Path(method.source.file).parent)
+    except VehicleProblem as error:
+        problem = method.source.diagnostic("planner.vehicle", error.problem, error.expected, code=error.code)
+        raise InputError([problem]) from None
+    if own == scenario.vehicle or _are_of_one_robot(load_vehicle(own), vehicle_of_task(scenario)):
+        return own
+    return scenario.vehicle
+
+
+def _are_of_one_robot(one: Vehicle, other: Vehicle) -> bool:
+    """Whether two vehicles are models of the same robot: the same is true of both where a scenario states nothing."""
+    (robot, _), (other_robot, _) = natural_robot(one), natural_robot(other)
+    return robot == other_robot and sorted(one.controls) == sorted(other.controls)
+
+
+def load_planning_vehicle(scenario: Scenario, reference: str) -> Vehicle:
+    """Model of a `vehicle_reference`; problems with the scenario's own are reported at its line.
+
+    Raises:
+        InputError: if it cannot be loaded.
+    """
+    return vehicle_of_task(scenario) if reference == scenario.vehicle else load_vehicle(reference)
+
+
+def check_robot(scenario: Scenario, vehicle: Vehicle) -> None:
+    """Check that the true robot of a scenario can be simulated there and takes the controls of the planning model.
+
+    Raises:
+        InputError: at the line that states the robot, if not.
+    """
+    kind = scenario.truth.kind or natural_robot(vehicle)[0].kind
+    if kind != "car" or not is_car(vehicle):
+        from kraft.simulation.true_world import check_world  # loads the simulator
+
+        check_world(scenario, vehicle)
+
+
+def check_own_robot(vehicle: Vehicle) -> None:
+    """Check the robot that a vehicle's file states.
+
+    Raises:
+        InputError: at its line, if it cannot be simulated or takes other controls.
+    """
+    robot, source = natural_robot(vehicle)
+    if robot.kind is not None and ("truth",) in source.keys:
+        from kraft.simulation.true_world import check_own_truth  # loads the simulator
+
+        check_own_truth(vehicle)
