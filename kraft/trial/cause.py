@@ -41,16 +41,17 @@ class CauseKind(StrEnum):
     UNSAFE_PLAN = "unsafe plan", "the car was where it was predicted to be, and the plan itself came too close"
     ESTIMATE_WRONG = (
         "estimate wrong",
-        "the car deviated by more, and its estimated pose was wrong by at least half as much",
+        "the car was farther from the prediction than the clearance δ(v) or the obstacle allowed, and at least half of "
+        "that was an error of its estimated pose",
     )
     DEVIATION = (
         "deviation",
-        "the car deviated by more than the clearance δ(v), or than the distance to the obstacle, or "
-        "from its plan until the plan's end, though it knew where it was",
+        "the car was farther from the prediction than the clearance δ(v) or the obstacle allowed, or left its plan "
+        "before the plan's end, though it knew where it was",
     )
     NO_PLAN = "no plan found", "in most cycles before the timeout the planner had no plan"
     PLANS_REFUSED = "plans refused", "in most cycles before the timeout the plan was not safe from the latest estimate"
-    STUCK = "stuck", "the car stood before the timeout, though it had plans"
+    STUCK = "stuck", f"the car got no farther than {STANDS:g} m before the timeout, though it had plans"
     TOO_SLOW = "too slow", "the car drove on until the timeout"
 
 

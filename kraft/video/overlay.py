@@ -135,7 +135,7 @@ def draw_legend(
         ("contingency", _dashes),
         ("search tree", lambda d, x, y: d.line((x, y, x + SAMPLE, y), SECONDARY_TEXT, 1)),
         (
-            "believed pose",
+            "estimated pose",
             lambda d, x, y: d.rectangle((x, y - 6, x + SAMPLE, y + 6), outline=ESTIMATE, width=2),
         ),
         (f"driven, 0 to {top_speed:.2g} m/s", _speeds),

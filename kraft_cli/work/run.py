@@ -178,7 +178,7 @@ def run_table(run: Run) -> list[tuple[str, str]]:
     if result.command_ms:
         late = f", {result.late_commands} took longer than the time between two" if result.late_commands else ""
         median, worst = percentile(result.command_ms, 0.5), max(result.command_ms)
-        rows.append(("commands", f"{median:.2f} ms median, {worst:.1f} ms worst{late}"))
+        rows.append(("commands", f"{median:.2f} ms median, {worst:.2f} ms worst{late}"))
     outputs = run.request.outputs
     made = (("film", outputs.video), ("picture", outputs.plot), ("bag", outputs.bag), ("written to", run.request.out))
     return rows + [(name, str(path)) for name, path in made if path is not None]
@@ -219,7 +219,7 @@ def measures_table(measures: Measures, contingencies: int) -> list[tuple[str, st
     quantiles = measures.deviation_quantiles((0.5, 0.99))
     if quantiles:
         until, half, most = quantiles[-1]
-        rows.append(("deviation", f"{metres(half)} median, {metres(most)} at 99 %, {until:.1f} s after the commit"))
+        rows.append(("deviation", f"{metres(half)} median, {metres(most)} at 99 %, {until:g} s after the commit"))
     if contingencies:
         safe = contingencies - measures.in_hand - measures.emergencies
         rows.append(

@@ -245,7 +245,7 @@ def _panel(total: _Total, quantiles: Sequence[Sequence[float]], top: float, last
         parts.append(element("line", class_="delta", x1=LEFT, x2=width - RIGHT, y1=y(delta), y2=y(delta)))
     kept = total.measures.clearance.coverage
     half, most = quantiles[-1][1], quantiles[-1][3]
-    words = f"{100 * half:.1f} cm median, {100 * most:.1f} cm at 99 %, {quantiles[-1][0]:.1f} s after the commit"
+    words = f"{100 * half:.1f} cm median, {100 * most:.1f} cm at 99 %, {quantiles[-1][0]:g} s after the commit"
     if delta is not None and kept is not None:
         words += f"; δ(v) {100 * delta:.1f} cm on average, kept at {percent(kept)} of the ticks"
     drawing = svg(width, height, *parts, class_="deviation-panel", aria_label=f"{total.title}: {words}")
@@ -316,7 +316,7 @@ def measures_table(shown: Shown, results: Sequence[Result]) -> Element | None:
     top = max([LEAST_TOP, *deltas, *(value for d in each for value in d.most)])
     heading = [element("th", "what was promised, and what held"), *_headings(shown)]
     if shown.deviations:
-        scale = f"0 to {cycle:.1f} s since the commit, to {1000 * top:.0f} mm"
+        scale = f"until {cycle:.3g} s, up to {1000 * top:.0f} mm"
         heading.append(element("th", "deviation from the prediction", element("small", scale)))
     rows = []
     for result, deviations in zip(results, each, strict=True):
@@ -324,7 +324,7 @@ def measures_table(shown: Shown, results: Sequence[Result]) -> Element | None:
         if shown.deviations:
             cells.append(_drawing(result, deviations, cycle, top) if deviations.until else element("td", NO_VALUE))
         rows.append(element("tr", element("th", result.title, scope="row"), *cells))
-    return element("table", element("tr", *heading), *rows, class_="measures")
+    return element("table", element("thead", element("tr", *heading)), element("tbody", *rows), class_="measures")
 
 
 def _headings(shown: Shown) -> Iterator[Element]:

@@ -133,6 +133,15 @@ function sortable(table) {
   });
 }
 
+/** Leave out all but the numbers of an overview that does not fit otherwise. */
+function narrowOverview() {
+  for (const table of document.querySelectorAll(".overview")) {
+    table.classList.remove("narrow");
+    const box = table.parentElement;
+    table.classList.toggle("narrow", box.clientWidth > 0 && box.scrollWidth > box.clientWidth + 1);
+  }
+}
+
 function showHints() {
   for (const box of document.querySelectorAll(".wide")) {
     const hidden = box.scrollWidth - box.clientWidth - box.scrollLeft;
@@ -215,14 +224,18 @@ function route() {
   if (hash.startsWith("show")) {
     readFilters(hash);
     document.getElementById("trials").scrollIntoView();
+    return;
   }
+  const target = document.getElementById(decodeURIComponent(hash)), entry = target?.closest("details.entry");
+  if (entry && !entry.open) { entry.open = true; target.scrollIntoView(); } // browsers open it only when a link is followed
 }
 
 setUpList();
 document.querySelectorAll("table.sortable").forEach(sortable);
+narrowOverview();
 showList();
 addEventListener("hashchange", route);
-addEventListener("resize", showHints);
+addEventListener("resize", () => { narrowOverview(); showHints(); });
 addEventListener("toggle", showHints, true);
 addEventListener("beforeprint", () => { for (const each of document.querySelectorAll("details.entry")) each.open = true; });
 route();

@@ -112,8 +112,7 @@ def _sweeps(results: Results) -> Element | None:
     keys = " and ".join([found[0].axis.key, *found[0].fixed])
     words = (
         f"Over {keys}. Bars are 95 % intervals: Wilson's of shares, Student's of mean times; a bar that leaves its "
-        "panel has no cap there. The methods are set a little apart, so that equal ones can be seen. Point at a mark "
-        "for its numbers."
+        "panel has no cap there. The methods are set a little apart, so that equal ones can be seen."
     )
     figures = []
     for k, drawing in enumerate(sweep_pictures(found, results.methods)):
@@ -122,24 +121,52 @@ def _sweeps(results: Results) -> Element | None:
         save = element("a", "save as SVG", href=f"data:image/svg+xml;charset=utf-8,{content}", download=file)
         figures.append(element("figure", element("div", drawing, class_="wide"), element("p", save, class_="save")))
     return element(
-        "section", element("h2", "Sweeps"), element("p", words, class_="key"), *figures, class_="sweeps", id="sweeps"
+        "section",
+        element("h2", "Sweeps"),
+        element("p", words, _hint(" Point at a mark for its numbers."), class_="key"),
+        *figures,
+        class_="sweeps",
+        id="sweeps",
     )
 
 
 def _key(shown: Shown, failed: bool) -> Element:
     """Legend of the charts."""
     words = (
-        "Below the bar of a method stands each trial, by seed; "
-        "point at one to see how it ended, follow it to replay it. Black: 95 % Wilson interval of the success rate. "
-        "Blue above it: the paper's rate and its interval. p: exact McNemar test against KRAFT on the same seeds. "
-        "Times are of successful trials: black their mean, the blue ring the paper's, dashed the "
-        "lower bound: the shortest path at top speed."
+        *(
+            "Below the bar of a method stands each trial, by seed",
+            _hint("; point at one to see how it ended, follow it to replay it"),
+        ),
+        *(". The bar has ", _stroke("ink"), " the 95 % Wilson interval of the success rate, and above it "),
+        *(
+            _stroke("paper"),
+            " the paper's rate and its interval. p: exact McNemar test against KRAFT on the same seeds. ",
+        ),
+        *(
+            "Times are of successful trials: ",
+            _stroke("ink upright"),
+            " their mean, ",
+            element("i", class_="ring"),
+            " the paper's, ",
+        ),
+        *(_stroke("bound upright"), " the lower bound, which is the shortest path at top speed."),
     )
     deviation = (
-        " Deviation: the largest distance of a point of the true car from where the committed prediction has it, blue "
-        "its median, red its 99 % quantile, dashed the mean clearance δ(v) that the method asked for."
+        " Deviation: the largest distance of a point of the true car from where the committed prediction has it: ",
+        *(_stroke("paper"), " its median, ", _stroke("collision"), " its 99 % quantile, "),
+        *(_stroke("dashed"), " the mean clearance δ(v) that the method asked for."),
     )
-    return element("p", *outcome_legend(failed), " ", words, deviation if shown.deviations else None, class_="key")
+    return element("p", *outcome_legend(failed), " ", *words, *(deviation if shown.deviations else ()), class_="key")
+
+
+def _stroke(look: str) -> Element:
+    """Sample of a line in a legend: its colour follows the page's."""
+    return element("i", class_=f"stroke {look}")
+
+
+def _hint(text: str) -> Element:
+    """Words about what a reader can do, which a print does not have."""
+    return element("span", text, class_="hint")
 
 
 def _entry(results: Results, name: str, shown: Shown) -> Element:
@@ -173,7 +200,7 @@ def _table(results: Results, name: str, mine: Sequence[Result]) -> Element:
     columns = ("mean, s", "p", "contingencies", "clearance, m", "planning, ms")
     heading += [element("th", text, class_="number") for text in columns]
     rows = [_row(results, result, longest) for result in mine]
-    return element("table", element("tr", *heading), *rows)
+    return element("table", element("thead", element("tr", *heading)), element("tbody", *rows))
 
 
 def _picture(results: Results, name: str) -> Element:
@@ -250,7 +277,7 @@ def _unsuccessful(results: Results, name: str) -> Element | None:
     more = len(found) - LISTED
     rest = element("p", f"and {more} more, in trials.jsonl") if more > 0 else None
     title = element("summary", f"The {len(found) if len(found) > 1 else 'one'} that did not succeed")
-    table = element("div", stacked(element("table", heading, *rows)), class_="wide")
+    table = element("div", stacked(element("table", element("thead", heading), element("tbody", *rows))), class_="wide")
     return element("details", title, table, rest, class_="unsuccessful")
 
 
@@ -355,7 +382,7 @@ def overview(results: Results) -> Element:
             "p",
             *outcome_legend(summary.failed > 0),
             words,
-            " A heading sorts by its column, a number lists its trials.",
+            _hint(" A heading sorts by its column, a number lists its trials."),
             class_="key",
         ),
         element("div", table, class_="wide"),
@@ -399,7 +426,7 @@ def causes(results: Results) -> Element | None:
     return element(
         "section",
         element("h2", "Why trials failed"),
-        element("p", "Collisions and timeouts by their cause. A number lists its trials.", class_="key"),
+        element("p", "Collisions and timeouts by their cause.", _hint(" A number lists its trials."), class_="key"),
         element("div", stacked(table), class_="wide"),
         element("dl", *(element("div", element("dt", name), element("dd", text)) for name, text in meanings if text),
                 class_="meanings"),

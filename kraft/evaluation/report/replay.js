@@ -425,9 +425,10 @@ class Player {
     words.push(cycle.reason ? `: ${cycle.reason}. ` : ". ");
     if (cycle.cost !== undefined) words.push(`${cycle.cost.toFixed(1)} s to the goal. `);
     if (cycle.blocked.length > 0) words.push(`${cycle.blocked.length} assumed obstacle${cycle.blocked.length > 1 ? "s" : ""} where the car was blocked. `);
-    words.push(`${cycle.nodes} nodes after ${cycle.iterations} iterations`);
-    if (this.planning[k] !== undefined) words.push(` in ${this.planning[k].toFixed(0)} ms`);
-    this.cycle.replaceChildren(...words, ".");
+    const planned = this.planning[k] === undefined ? "" : `${this.planning[k].toFixed(0)} ms`;
+    if (cycle.iterations > 0) words.push(`${cycle.nodes} nodes after ${cycle.iterations} iterations${planned && ` in ${planned}`}.`);
+    else if (planned) words.push(`Planned in ${planned}.`);
+    this.cycle.replaceChildren(...words);
   }
 
   /** Go to the begin of the cycle before or after. */

@@ -174,7 +174,7 @@ class Results:
     def title(self) -> str:
         """Numbers of trials, scenarios or entries of a suite, and methods, in words."""
         plain = all(cell.name == cell.scenario for cell in self.manifest.rows)
-        entries = len(self.entries), "scenario" if plain else "world"
+        entries = len(self.entries), "scenario" if plain else "entry"
         counts = [(len(self.rows), "trial"), entries, (len(self.methods), "method")]
         return ", ".join(grouped(count, noun) for count, noun in counts)
 
