@@ -1,4 +1,4 @@
-"""Pictures of docs/introduction.md: python -m benchmarks.introduction [FOLDER].
+"""Pictures of docs/introduction.md and of the README: python -m benchmarks.introduction [FOLDER].
 
 The three drives are those of `kraft run slope --method METHOD --seed 0 --plot FILE`, without the curves below the map,
 and the plan is that of `kraft plan turns --plot FILE`.
@@ -26,7 +26,7 @@ PLAN: Final = 0.65
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write `ways.png` and `plan.png` into the folder, docs by default; 1 if a drive or a plan cannot be made."""
+    """Write `ways.png`, `plan.png` and `turns.png` into the folder, docs by default; 1 if one cannot be made."""
     folder = Path(arguments[0] if arguments else "docs")
     with TemporaryDirectory() as scratch:
         pages = [Path(scratch) / f"{name}.png" for name in METHODS]
@@ -42,7 +42,9 @@ def main(arguments: Sequence[str]) -> int:
         drives = [Image.open(page).convert("RGB") for page in pages]
         parts = [_band(page, 0.0, LEGEND[0]) for page in drives]
         save([*parts, _band(drives[-1], *LEGEND)], folder / "ways.png")
-        save([_band(Image.open(plan).convert("RGB"), 0.0, PLAN)], folder / "plan.png")
+        turns = Image.open(plan).convert("RGB")
+        save([_band(turns, 0.0, PLAN)], folder / "plan.png")
+        turns.save(folder / "turns.png", optimize=True)
     return 0
 
 

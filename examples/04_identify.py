@@ -10,6 +10,8 @@ import kraft
 from kraft.sysid import prediction_errors
 from kraft.vehicles.config import load_vehicle_config
 
+if len(sys.argv) != 2:
+    sys.exit("usage: python examples/04_identify.py LOGS, as kraft record --out LOGS writes them")
 config = load_vehicle_config("mushr-lag")
 logs = kraft.read_logs(sys.argv[1]).logs
 used, unseen = logs[::2], logs[1::2]

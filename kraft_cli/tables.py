@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from kraft.evaluation import Summary
     from kraft.evaluation.table import Table
 
-REMARK = "95 % CI: Wilson, of the success rate. p: exact McNemar against kraft on the same seeds."
+REMARK = "95 % CI: Wilson, of the success rate."
+REMARK_P = " p: exact McNemar against kraft on the same seeds."
 
 REMARK_MANY = "The tables of the entries, with intervals and measures, are in report.html and summary.json."
 
@@ -48,14 +49,16 @@ def show_tables(terminal: Terminal, summary: Summary) -> None:
         terminal.data(REMARK_MANY)
         return
     together = totals(summary)
+    shown: set[str] = set()
     for table in [*tables(summary), *([together] if together else [])]:
         if terminal.out.isatty():
-            _rich(terminal, table)
+            shown.update(_rich(terminal, table))
         else:
             terminal.data(table.title)
             terminal.table(table.heading, table.rows)
             terminal.data("")
-    terminal.data(REMARK)
+            shown.update(table.heading)
+    terminal.data(REMARK + (REMARK_P if "p" in shown else ""))
 
 
 def _show_overview(terminal: Terminal, table: Table) -> None:
@@ -95,7 +98,8 @@ def _fitting(table: Table, headings: Sequence[str], width: int) -> list[list[int
     return groups
 
 
-def _rich(terminal: Terminal, table: Table) -> None:
+def _rich(terminal: Terminal, table: Table) -> Sequence[str]:
+    """Print as many columns as fit, and return their headings."""
     from rich import box
     from rich.console import Console
     from rich.table import Table as Grid
@@ -108,3 +112,4 @@ def _rich(terminal: Terminal, table: Table) -> None:
     for row in fitted.rows:
         grid.add_row(*row, style="bold" if row[0] == "KRAFT" else None)
     console.print(grid)
+    return fitted.heading

@@ -127,14 +127,14 @@ class Page:
         box = (part.left / self.width, bottom / self.height, part.width / self.width, part.height / self.height)
         return figure.add_axes(box)
 
-    def heading(self, figure: Figure, title: str, warning: str | None) -> None:
-        """Title, what is wrong with the plan, and the notes."""
+    def heading(self, figure: Figure, title: str, verdict: str | None, colour: str = WARNING) -> None:
+        """Title, what is wrong with the plan or how the drive ended, and the notes."""
         room = 72 * (self.width - LEFT - RIGHT)
-        alarm = "" if warning is None else warning
-        text = shortened(title, TITLE, room - text_width(alarm, TITLE, bold=True) - 12, bold=True)
+        right = "" if verdict is None else verdict
+        text = shortened(title, TITLE, room - text_width(right, TITLE, bold=True) - 12, bold=True)
         self.text(figure, LEFT, 0.32, text, TITLE, INK, weight="bold")
-        if alarm:
-            self.text(figure, self.width - RIGHT, 0.32, alarm, TITLE, WARNING, weight="bold", ha="right")
+        if right:
+            self.text(figure, self.width - RIGHT, 0.32, right, TITLE, colour, weight="bold", ha="right")
         for row, notes in enumerate(self.note_rows):
             left, top = LEFT, HEADING + row * NOTES
             for name, value in notes:

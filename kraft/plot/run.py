@@ -107,17 +107,14 @@ def _compose(
     entries, panels = _legend_entries(drive, line, hidden), panels_of_run(drive, task, vehicle)
     page = lay_out(frame, notes, len(panels), [entry.width for entry in entries])
     figure = Figure(figsize=(page.width, page.height))
-    page.heading(figure, title, _failure(drive.result))
+    result = drive.result
+    colour = GOAL if result.outcome is Outcome.SUCCESS else WARNING
+    page.heading(figure, title, outcome_text(result.outcome, result.obstacle), colour)
     _draw_map(page.axes(figure, page.map), drive, frame, task, vehicle, line, hidden, page.map.width / frame.size[0])
     draw_legend(figure, page, entries)
     for panel, part in zip(panels, page.panels, strict=True):
         draw_run_panel(page.axes(figure, part), panel, drive, last=panel is panels[-1])
     return figure
-
-
-def _failure(result: TrialResult) -> str | None:
-    """Text for a trial that did not reach the goal, else None."""
-    return None if result.outcome is Outcome.SUCCESS else outcome_text(result.outcome, result.obstacle)
 
 
 def _draw_map(
