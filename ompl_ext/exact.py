@@ -48,7 +48,7 @@ class ExactClearance:
                 break
             data = fcl.DistanceResult()
             least = min(least, fcl.distance(self._pieces.solid(piece), self._solid, DISTANCE, data))
-        return float(least)
+        return max(0.0, float(least))  # FCL's distance is -1 for solids that just touch, and its contact test false
 
     def collides(self, x: float, y: float, theta: float = 0.0) -> bool:
         """Whether the footprint at a pose touches an obstacle."""

@@ -1,7 +1,7 @@
 """Text of everything that a compiled function depends on: its own source and all that it refers to.
 
-A cached kernel is stale when any of it changes: the function, a helper it calls, or a constant that it reads from its
-module, another module or an enclosing function.
+A cached kernel is stale when any of it changes: the function, a helper it calls, the modules of both, or a constant
+that it reads from its module, another module or an enclosing function.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ def _parts(function: Callable[..., Any], visited: set[int]) -> Iterator[str]:
     if id(plain) in visited:
         return
     visited.add(id(plain))
+    yield f"# {plain.__module__}"  # cached machine code imports it
     yield inspect.getsource(plain)
     cells = plain.__closure__ or ()
     values = dict(zip(plain.__code__.co_freevars, (cell.cell_contents for cell in cells), strict=True))

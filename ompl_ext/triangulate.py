@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+from typing import Final
+
 import numpy as np
 
 from ompl_ext.arrays import Floats, Matrix
+
+ROUNDING: Final = 3.4e-16
+"""Error of a computed determinant over the sum of its two products."""
+SLIVER: Final = 1e-9
+"""Height up to which a triangle is left out: between corners that only rounding keeps off a line, m."""
 
 
 def triangles(vertices: Matrix) -> list[Matrix]:
@@ -33,7 +41,9 @@ def triangles(vertices: Matrix) -> list[Matrix]:
             raise ValueError("a polygon may not cross itself")
         pieces.append(points[[remaining[ear - 1], remaining[ear], remaining[(ear + 1) % len(remaining)]]])
         del remaining[ear]
-    return [*pieces, points[remaining]]
+    if _turn(*points[remaining]) < 0:
+        raise ValueError("a polygon may not cross itself")
+    return [piece for piece in (*pieces, points[remaining]) if _height(piece) > SLIVER]
 
 
 def _turning(points: Matrix) -> tuple[Floats, float]:
@@ -44,15 +54,30 @@ def _turning(points: Matrix) -> tuple[Floats, float]:
     return cross, float(np.arctan2(cross, np.sum(sides * following, axis=1)).sum())
 
 
-def _cross(a: Matrix, b: Matrix, c: Matrix) -> float:
-    """Twice the signed area of a triangle, positive if it turns left."""
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+def _height(triangle: Matrix) -> float:
+    """Smallest height of a triangle, m."""
+    (a, b, c), sides = triangle, np.hypot(*(np.roll(triangle, -1, axis=0) - triangle).T)
+    return float(((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) / sides.max())
+
+
+def _turn(a: Matrix, b: Matrix, c: Matrix) -> int:
+    """1 if a triangle turns left, -1 if it turns right, 0 if its corners are on a line, without rounding.
+
+    Where the determinant is within its rounding error (Shewchuk: Adaptive precision floating-point arithmetic, 1997,
+    Sec. 4.1), it is computed in fractions: an ear that only rounding makes one covers what the polygon does not.
+    """
+    left, right = (b[0] - a[0]) * (c[1] - a[1]), (b[1] - a[1]) * (c[0] - a[0])
+    cross = left - right
+    if abs(cross) <= ROUNDING * (abs(left) + abs(right)):
+        ax, ay, bx, by, cx, cy = (Fraction(float(value)) for corner in (a, b, c) for value in corner)
+        cross = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    return int(cross > 0) - int(cross < 0)
 
 
 def _is_ear(points: Matrix, remaining: list[int], k: int) -> bool:
     """Whether corner k can be cut off: it is convex and no other corner lies in its triangle."""
     a, b, c = points[remaining[k - 1]], points[remaining[k]], points[remaining[(k + 1) % len(remaining)]]
-    if _cross(a, b, c) <= 0.0:
+    if _turn(a, b, c) <= 0:
         return False
     others = [points[i] for i in remaining if not any(np.array_equal(points[i], corner) for corner in (a, b, c))]
-    return not any(_cross(a, b, p) >= 0.0 and _cross(b, c, p) >= 0.0 and _cross(c, a, p) >= 0.0 for p in others)
+    return not any(_turn(a, b, p) >= 0 and _turn(b, c, p) >= 0 and _turn(c, a, p) >= 0 for p in others)

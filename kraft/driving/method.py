@@ -18,6 +18,7 @@ from kraft.config.schema import Name, NonNegative, Positive, Probability, Strict
 from kraft.config.source import Source
 from kraft.driving.control_settings import PREDICTIVE, ControllerSettings, Seconds
 from kraft.errors import Code, InputError
+from kraft.vehicles import check_state
 
 if TYPE_CHECKING:
     from ompl_ext.vehicle import Vehicle
@@ -381,9 +382,10 @@ def check_vehicle(method: Method, vehicle: Vehicle, *, own: bool) -> None:
     """Check that a vehicle has what the method's estimator needs; `own` is whether the method itself names it.
 
     Raises:
-        InputError: if parameters are to be estimated whose ranges the vehicle does not state; at the line of the method
-            that names the vehicle, if one does.
+        InputError: if the vehicle's state lacks a pose or a speed, or if parameters are to be estimated whose ranges it
+            does not state; at the line of the method that names the vehicle, if one does.
     """
+    check_state(vehicle)
     problem = unstated_ranges(vehicle) if isinstance(method.estimator, Adaptive) else ""
     if problem and own:
         problem = f"{vehicle.name} {problem}"

@@ -15,7 +15,7 @@ from typing import Final, Self
 import numpy as np
 
 from kraft.errors import Code, InputError
-from kraft.vehicles import CAR_CONTROLS, is_car
+from kraft.vehicles import CAR_CONTROLS, check_state, is_car
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.kernels.moments import INSTANT, MAX_STEP, ROUNDING
 from ompl_ext.kernels.specialise import StepKernels, kernels, step_kernels
@@ -203,20 +203,6 @@ class VehicleModel:
         missing = after[self.velocities] - reached[0, self.velocities]
         change, *_ = np.linalg.lstsq(by_control[0][self.velocities] * half, missing)
         return self.clamped(control + half * change)
-
-
-def check_state(vehicle: Vehicle) -> None:
-    """Check that the state of a vehicle has x, y, theta and a speed.
-
-    Raises:
-        InputError: if it lacks one of them.
-    """
-    missing = [name for name in ("x", "y", "theta") if vehicle.index(name) < 0]
-    if missing or not vehicle.rest:
-        lacks = (
-            f"has no {' and no '.join(missing)} in its state" if missing else "names no speed in its rest components"
-        )
-        raise InputError.of(vehicle.name, lacks, "expected a state with x, y, theta and a speed", Code.MISMATCH)
 
 
 def stop_control(vehicle: Vehicle, state: Floats, number: int) -> Floats:

@@ -12,7 +12,7 @@ from typing import Any
 from kraft.driving.control import check_packages, kernel_modules, needs_steps
 from kraft.errors import Code, Diagnostic, Problems, Unreachable, out_of_range
 from kraft.evaluation.cluster import Cluster
-from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, Experiment, MethodLike, experiment_of
+from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, WARNINGS, Experiment, MethodLike, experiment_of
 from kraft.evaluation.folder import Folder, check_exists, check_new, create, reopen, write_results
 from kraft.evaluation.job import Executor, Log
 from kraft.evaluation.journal import Key, TrialRow
@@ -110,7 +110,7 @@ def evaluate(
         scenarios, methods, trials, seed, jobs, out, suite=suite, settings=settings, vary=vary, vehicle=vehicle,
         resume=resume, realtime=realtime,
     )  # fmt: skip
-    _warn_of_far_cameras(experiment, observer.log)
+    _warn(experiment, observer.log)
     _ensure_compiled(experiment, observer.log)
     experiment = replace(experiment, bounds=_least_times(experiment))
     executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
@@ -165,11 +165,12 @@ def check_arguments(
     return experiment
 
 
-def _warn_of_far_cameras(experiment: Experiment, log: Log) -> None:
-    """Log the first entry whose camera is too far away, and how many more there are."""
-    entries = {cell.entry.name: cell.scenario for cell in experiment.cells}
-    found = {name: text for name, scenario in entries.items() if (text := scenario.far_camera())}
-    if found:
+def _warn(experiment: Experiment, log: Log) -> None:
+    """Log each warning with the first entry that it concerns, and how many others there are."""
+    for warning in WARNINGS:
+        found = {cell.entry.name: text for cell in experiment.cells if (text := warning(cell))}
+        if not found:
+            continue
         name, text = next(iter(found.items()))
         more = f"; so it is in {counted(len(found) - 1, 'other entry')}" if len(found) > 1 else ""
         log(f"warning: {name}: {text}{more}")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from functools import partial
@@ -24,7 +24,13 @@ from kraft.planning.plan_file import vehicle_content
 from kraft.planning.workspace import start_state
 from kraft.provenance import SIMULATION, plain, plain_hash, versions
 from kraft.scenario import Scenario
-from kraft.trial.planning_vehicle import check_robot, load_planning_vehicle, vehicle_reference
+from kraft.trial.planning_vehicle import (
+    check_robot,
+    load_planning_vehicle,
+    other_body,
+    uncorrected_slope,
+    vehicle_reference,
+)
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from ompl_ext.vehicle import Vehicle
@@ -64,6 +70,14 @@ class Cell:
     def key(self) -> tuple[str, str]:
         """Names of entry and method."""
         return self.entry.name, self.method.name
+
+
+WARNINGS: Final[tuple[Callable[[Cell], str], ...]] = (
+    lambda cell: cell.scenario.far_camera(),
+    lambda cell: other_body(cell.scenario, cell.vehicle),
+    lambda cell: uncorrected_slope(cell.scenario, cell.method, cell.vehicle),
+)
+"""What may be wrong with a row though it can be driven; each is empty where it is not."""
 
 
 @dataclass(frozen=True)

@@ -460,4 +460,4 @@ class _Obstacles:
         return Collision(time, self._labels[touched], (x, y, 0.0))
 
     def _touches(self, k: int, x: float, y: float, theta: float) -> bool:
-        return ExactClearance(Workspace(self._bounds, (self._solid[k],)), self._footprint).collides(x, y, theta)
+        return ExactClearance(Workspace(self._bounds, (self._solid[k],)), self._footprint).distance(x, y, theta) <= 0.0

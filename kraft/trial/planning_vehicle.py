@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
-from kraft.driving.method import Method, check_vehicle
+from kraft.driving.method import Adaptive, Method, check_vehicle
 from kraft.errors import InputError
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Scenario
 from kraft.vehicles import is_car
-from kraft.vehicles.load import load_vehicle, natural_robot
+from kraft.vehicles.load import MUSHR_SIZE, load_vehicle, natural_robot
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from ompl_ext.vehicle import Vehicle
+
+ALIKE: Final = 1.25
+"""Ratio of the sizes of two bodies up to which one may stand for the other."""
 
 
 def planning_vehicle(scenario: Scenario, method: Method, vehicle: str | None = None) -> Vehicle:
@@ -86,3 +90,28 @@ def check_own_robot(vehicle: Vehicle) -> None:
         from kraft.simulation.true_world import check_own_truth  # loads the simulator
 
         check_own_truth(vehicle)
+
+
+def other_body(scenario: Scenario, vehicle: Vehicle) -> str:
+    """What to say of a true robot that is the MuSHR by default, for a car of another size; else empty."""
+    robot, source = natural_robot(vehicle)
+    by_default = scenario.truth.kind is None and robot.car is not None and ("truth",) not in source.keys
+    shape = vehicle.footprint
+    ratios = [stated / true for stated, true in zip((shape.length, shape.width), MUSHR_SIZE, strict=True)]
+    if not by_default or all(1.0 / ALIKE < ratio < ALIKE for ratio in ratios):
+        return ""
+    return (
+        f"the true robot is the MuSHR, {MUSHR_SIZE[0]:g} m x {MUSHR_SIZE[1]:g} m, because neither the scenario nor the "
+        f"file of {vehicle.name} ({shape.length:g} m x {shape.width:g} m) states another (truth)"
+    )
+
+
+def uncorrected_slope(scenario: Scenario, method: Method, vehicle: Vehicle) -> str:
+    """What to say of a tilted floor whose slope is not estimated, though the method could; else empty."""
+    tilted = scenario.truth.tilt is not None and scenario.truth.tilt.slope > 0.0
+    if not tilted or not isinstance(method.estimator, Adaptive) or vehicle.gravity_share is not None:
+        return ""
+    return (
+        f"the floor leans, and {vehicle.name} states no gravity_share: neither the slope nor the errors of the poses "
+        "that come from it are estimated"
+    )

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
+from kraft.errors import Code, InputError
+
 if TYPE_CHECKING:
     from ompl_ext.vehicle import Vehicle
 
@@ -54,3 +56,17 @@ def felt_gravity(vehicle: Vehicle) -> float:
     """Force per mass by a slope of 1, m/s^2, on a vehicle that states its share of gravity."""
     assert vehicle.gravity_share is not None, "a slope drives only a vehicle that states its share"
     return GRAVITY * vehicle.gravity_share
+
+
+def check_state(vehicle: Vehicle) -> None:
+    """Check that the state of a vehicle has x, y, theta and a speed.
+
+    Raises:
+        InputError: if it lacks one of them.
+    """
+    missing = [name for name in ("x", "y", "theta") if vehicle.index(name) < 0]
+    if missing or not vehicle.rest:
+        lacks = (
+            f"has no {' and no '.join(missing)} in its state" if missing else "names no speed in its rest components"
+        )
+        raise InputError.of(vehicle.name, lacks, "expected a state with x, y, theta and a speed", Code.MISMATCH)

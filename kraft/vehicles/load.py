@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from kraft.config import bundled
 from kraft.config.document import Document
@@ -123,6 +123,10 @@ def configured(config: VehicleConfig) -> Vehicle:
 
 def _errors(of_speed: SpeedPrediction) -> OpenLoopErrors:
     return OpenLoopErrors(of_speed.speeds, of_speed.after, of_speed.along, of_speed.across, of_speed.yaw)
+
+
+MUSHR_SIZE: Final = (0.44, 0.27)
+"""Length and width of the simulated MuSHR, m."""
 
 
 def natural_robot(vehicle: Vehicle) -> tuple[Robot, Source]:

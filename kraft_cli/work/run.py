@@ -13,7 +13,7 @@ from kraft.config.overrides import parse_overrides, value_text
 from kraft.driving.control import kernel_modules, needs_steps, settings_for
 from kraft.driving.messages import Cycle
 from kraft.errors import InputError, Problems
-from kraft.evaluation.experiment import Cell, Experiment, experiment_of
+from kraft.evaluation.experiment import WARNINGS, Cell, Experiment, experiment_of
 from kraft.evaluation.statistics import percentile, while_driving
 from kraft.evaluation.summary import measures_json
 from kraft.planning.compilation import ensure_compiled
@@ -83,8 +83,9 @@ def run_scenario(
     check_reachable(cell.scenario.task(), cell.vehicle)
     from kraft.trial.trial import run_trial  # loads the simulator
 
-    if far := cell.scenario.far_camera():
-        report(f"warning: {far}")
+    for warning in WARNINGS:
+        if text := warning(cell):
+            report(f"warning: {text}")
     timer.report("kernels, maps and simulator loaded")
     spec = TrialSpec(cell.scenario, cell.method, cell.vehicle, request.seed)
     with TrialOutputs(request.outputs, spec, on_cycle) as outputs:

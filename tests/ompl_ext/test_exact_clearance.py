@@ -183,3 +183,13 @@ def test_a_map_of_many_rectangles_is_as_exact(monkeypatch: pytest.MonkeyPatch) -
         assert exact.distance(*pose) == pytest.approx(true, abs=1e-6)
         assert (exact.distance(*pose) == 0.0) == (true == 0.0)
     assert SPREAD > 3e-4, "the error of FCL's distances to round shapes"
+
+
+def test_a_body_that_just_touches_a_wall_is_in_contact() -> None:
+    """FCL tells no contact of some of these poses, and the distance -1."""
+    wall = box((7.0, -0.05), (14.0, 0.1))
+    for footprint in (Footprint(2.0, 0.8), Footprint(0.4, 0.3)):
+        exact = ExactClearance(Workspace(((-20.0, 20.0), (-20.0, 20.0)), (wall,)), footprint)
+        for x in np.linspace(6.0, 8.0, 21):
+            assert exact.distance(float(x), footprint.width / 2) == pytest.approx(0.0, abs=1e-9)
+            assert exact.distance(float(x), footprint.length / 2, math.pi / 2) == pytest.approx(0.0, abs=1e-9)

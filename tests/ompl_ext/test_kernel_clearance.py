@@ -289,3 +289,42 @@ def test_large_workspaces_get_larger_cells_and_keep_the_bound() -> None:
     assert field.values.size < 4_300_000
     for x, y in points(1, 200, 50.0, 60.0) - (0.0, 20.0):
         assert field.at(x, y) <= exact.distance(x, y) + 1e-5
+
+
+CORNERS = {
+    "the diagonal of an ear passes through another corner": [
+        [0.8, 0.9], [0.1, 0.9], [0.1, 0.55], [0.45, 0.55], [0.45, 0.2], [0.8, 0.2],
+    ],
+    "corners on many common lines": [
+        [-0.3, 0.4], [0.0, 0.0], [0.4, 0.3], [0.8, 0.6], [1.2, 0.9], [1.6, 1.2], [1.3, 1.6], [0.9, 1.3], [0.5, 1.0],
+        [0.2, 1.4], [0.6, 1.7], [0.3, 2.1], [0.69, 2.4], [0.39, 2.8], [-0.01, 2.5], [-0.4, 2.2], [-0.8, 1.9],
+        [-1.2, 1.6], [-0.9, 1.2], [-0.6, 0.8], [-0.2, 1.1], [0.1, 0.7],
+    ],
+}  # fmt: skip
+
+
+def covered_alike(vertices: np.ndarray, seed: int) -> None:
+    """The pieces turn left and cover what the polygon does, at random points off its outline."""
+    pieces = triangles(vertices)
+    assert all(area(piece) > 0.0 for piece in pieces)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    for point in np.random.default_rng(seed).uniform(low, high, (200, 2)):
+        if outline(vertices, point) > 1e-9:
+            assert sum(inside(piece, point) for piece in pieces) == inside(vertices, point)
+
+
+@pytest.mark.parametrize("corners", CORNERS.values(), ids=CORNERS)
+@pytest.mark.parametrize("turn", [1, -1])
+def test_an_ear_that_only_rounding_makes_one_is_not_cut_off(corners: list[list[float]], turn: int) -> None:
+    covered_alike(np.array(corners)[::turn], 0)
+
+
+@given(st.lists(st.integers(1, 12), min_size=4, max_size=16), st.integers(0, 15), seeds)
+@settings(deadline=None, max_examples=150)
+def test_the_pieces_of_a_skyline_cover_it_alone(heights: list[int], first: int, seed: int) -> None:
+    """Its outline has right angles on a grid of 5 cm, so that many corners are on common lines."""
+    across = [0.05 * k for k in range(len(heights) + 1)]
+    outlined = [(across[0], 0.0), (across[-1], 0.0)]
+    for k in range(len(heights) - 1, -1, -1):
+        outlined += [(across[k + 1], 0.05 * heights[k]), (across[k], 0.05 * heights[k])]
+    covered_alike(np.roll(np.array(outlined), first, axis=0), seed)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from kraft.driving.method import load_method
 from kraft.scenario import load_scenario
-from kraft.trial.planning_vehicle import vehicle_reference
+from kraft.trial.planning_vehicle import other_body, uncorrected_slope, vehicle_reference
 from kraft.trial.result import Outcome, TrialSpec
 from kraft.trial.trial import run_trial
+from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
+from ompl_ext.vehicle import Footprint
 
 SCENE = """name: short
 bounds: {x: [0, 7], y: [0, 5]}
@@ -71,3 +74,22 @@ def test_a_drawing_of_a_run_has_the_vehicles_own_controls(scene: Path, tmp_path:
     picture = tmp_path / "run.svg"
     assert main(["run", str(scene), "--vehicle", "unicycle2", "--plot", str(picture)]) == 0
     assert picture.stat().st_size > 10_000
+
+
+def test_a_vehicle_without_a_speed_is_refused_before_anything_is_compiled(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", "turns", "--vehicle", "kraft.vehicles.dynobench:UNICYCLE1_V0", "--method", "kraft"]) == 2
+    assert "expected a state with x, y, theta and a speed" in capsys.readouterr().err
+
+
+def test_what_cannot_be_true_of_a_row_is_said() -> None:
+    method, slope = load_method("adaptive-kraft"), load_scenario("slope")
+    assert uncorrected_slope(slope, method, load_vehicle("mushr-force")) == ""
+    assert "gravity_share" in uncorrected_slope(slope, method, load_vehicle("mushr-drive"))
+    assert uncorrected_slope(slope, load_method("kraft"), load_vehicle("mushr-drive")) == ""
+    assert uncorrected_slope(load_scenario("turns"), method, load_vehicle("mushr-drive")) == ""
+    truck = replace(load_vehicle("mushr-drive"), footprint=Footprint(2.0, 0.8), file="", name="truck")
+    assert "the true robot is the MuSHR" in other_body(slope, truck)
+    for name in ("mushr", "mushr-drive", "f1tenth", "jackal", "unicycle2"):
+        assert other_body(slope, load_vehicle(name)) == ""

@@ -181,3 +181,13 @@ def test_what_a_vehicle_file_says_of_its_model_is_explained_at_its_line(folder: 
 
 def test_bundled_scenarios_name_vehicles_that_load() -> None:
     assert vehicle_of_task(load_scenario("turns").task()).name == "mushr"
+
+
+def test_a_copied_or_moved_file_is_compiled_for_itself(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cached machine code imports the module that it was compiled from, which may be gone."""
+    monkeypatch.chdir(folder)
+    for name in ("one.py", "two.py"):
+        Path(name).write_text(CODE)
+    by_file, copied, as_module = (load_vehicle(name) for name in ("one.py:CAR", "two.py:CAR", "one:CAR"))
+    assert len({by_file.hash, copied.hash, as_module.hash}) == 3
+    assert load_vehicle("one.py:CAR").hash == by_file.hash
