@@ -210,7 +210,7 @@ def _draw_choice(figure: Figure, page: Page, top: float, result: Identification)
         colours = draw_trials(page.axes(figure, part), result.trials)
         models = " and ".join(dict.fromkeys(trial.model for trial in result.trials))
         words = [
-            (f"Choice of terms of {models}: error on logs not fitted, without one after another", INK),
+            (f"Choice of terms of {models}: error on logs not fitted, after switching off one term after another", INK),
             *colours,
         ]
         caption(figure, page, part, words)

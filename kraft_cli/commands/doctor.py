@@ -19,7 +19,10 @@ def doctor(
     ] = None,
     json: Json = False,
 ) -> ExitStatus:
-    """Check Python, packages, processor, kernel cache and rendering, and the topics of a robot."""
+    """Check the installation, and the topics of a robot.
+
+    Python, packages, processor, kernel cache and rendering.
+    """
     from kraft_cli.work.doctor import examine
 
     terminal: Terminal = context.obj

@@ -31,7 +31,10 @@ def drive(
     bag: Bag = None,
     json: Json = False,
 ) -> ExitStatus:
-    """Drive a robot over its topics on the wall clock; the exit code is 1 if the goal is not reached."""
+    """Drive a robot over its topics on the wall clock.
+
+    The exit code is 1 if the goal is not reached.
+    """
     from kraft_cli.tables import show_rows
     from kraft_cli.work.drive import DRIVE_SCHEMA, DriveRequest, drive_json, drive_robot, drive_table
 
@@ -57,7 +60,10 @@ def world(
     view: View = False,
     json: Json = False,
 ) -> ExitStatus:
-    """Simulate a robot on its topics in real time; the exit code is 1 if it does not reach the goal."""
+    """Simulate a robot on its topics in real time.
+
+    The exit code is 1 if it does not reach the goal.
+    """
     from kraft_cli.tables import show_rows
     from kraft_cli.work.world import WORLD_SCHEMA, WorldRequest, simulate, world_json, world_table
 

@@ -57,7 +57,10 @@ def eval_(
     realtime: Realtime = False,
     json: Json = False,
 ) -> ExitStatus:
-    """Run methods in scenarios many times and compare them; collisions are results, not errors."""
+    """Run methods in scenarios many times and compare them.
+
+    Collisions are results, not errors.
+    """
     from kraft_cli.progress import Interrupts, Progress
     from kraft_cli.work.evaluate import EvalRequest, complete_request, resume_command, run_evaluation
 

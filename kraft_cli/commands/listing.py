@@ -17,7 +17,10 @@ def list_(
     what: Annotated[str, typer.Argument(metavar="|".join(THINGS), help="What to list.")],
     json: Json = False,
 ) -> None:
-    """List scenarios, suites, methods, vehicles, planners or robots, each with its description."""
+    """List what is bundled, each with its description.
+
+    Scenarios, suites, methods, vehicles, planners or robots.
+    """
     terminal: Terminal = context.obj
     described = _described(what)
     if json:

@@ -47,7 +47,10 @@ def plan(
     after: After = 0.0,
     json: Json = False,
 ) -> ExitStatus:
-    """Plan a scenario and print the result; the exit code is 1 if no plan reaches the goal."""
+    """Plan a scenario and print the result.
+
+    The exit code is 1 if no plan reaches the goal.
+    """
     from kraft_cli.tables import show_rows
     from kraft_cli.work.plan import PlanRequest, plan_json, run_plan, table_rows
 

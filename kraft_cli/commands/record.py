@@ -46,7 +46,10 @@ def record(
     bag: Bag = None,
     json: Json = False,
 ) -> ExitStatus:
-    """Drive manoeuvres without feedback in simulation and log commands and measured poses, for kraft sysid."""
+    """Drive manoeuvres in simulation and log them, for kraft sysid.
+
+    They are driven without feedback; the logs have commands and measured poses.
+    """
     from kraft.text import counted
     from kraft_cli.work.record import RecordRequest, record_logs
 

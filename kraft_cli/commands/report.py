@@ -19,7 +19,10 @@ Serve = Annotated[
 
 
 def report(context: typer.Context, results: Folder, out: Out = None, serve: Serve = False) -> ExitStatus:
-    """Write a page for a browser about the results of kraft eval, also while it runs or after it was stopped."""
+    """Write a page for a browser about the results of kraft eval.
+
+    Also while it runs, or after it was stopped.
+    """
     from kraft.errors import Code, InputError
     from kraft.evaluation.report import write_report
     from kraft.text import counted

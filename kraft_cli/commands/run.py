@@ -45,7 +45,10 @@ def run(
     realtime: Realtime = False,
     json: Json = False,
 ) -> ExitStatus:
-    """Drive a scenario once in simulation; the exit code is 1 if the goal is not reached."""
+    """Drive a scenario once in simulation.
+
+    The exit code is 1 if the goal is not reached.
+    """
     from kraft.trial.result import Outcome
     from kraft_cli.tables import show_rows
     from kraft_cli.work.run import RunRequest, cycle_line, run_json, run_scenario, run_table

@@ -77,7 +77,10 @@ def sysid(
     commands: Commands = None,
     json: Json = False,
 ) -> ExitStatus:
-    """Identify a vehicle's parameters from logs; the exit code is 1 if the logs do not identify them."""
+    """Identify a vehicle's parameters from logs.
+
+    The exit code is 1 if the logs do not identify them.
+    """
     from kraft_cli.work.sysid import SysidRequest, run_sysid
     from kraft_cli.work.sysid_report import SCHEMA, sysid_json
 

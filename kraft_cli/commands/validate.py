@@ -24,7 +24,10 @@ def validate(
     ],
     json: Json = False,
 ) -> ExitStatus:
-    """Check scenario, vehicle, method, suite, map, mapping, plan and robot files and print every problem."""
+    """Check files and print every problem.
+
+    Files of scenarios, vehicles, methods, suites, maps, mappings, plans and robots.
+    """
     from kraft_cli.work.validate import check_file
 
     terminal: Terminal = context.obj

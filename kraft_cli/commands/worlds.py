@@ -47,7 +47,10 @@ def import_(
     out: Out = Path("worlds"),
     json: Json = False,
 ) -> ExitStatus:
-    """Write scenarios and a suite from Gazebo worlds (BARN), problems of dynobench, or occupancy maps."""
+    """Write scenarios from worlds of BARN, dynobench, or maps.
+
+    Worlds are Gazebo files (BARN), problems of dynobench, or occupancy maps; several also make a suite.
+    """
     from kraft_cli.work.worlds import ImportRequest, imported_json, run_import
 
     terminal: Terminal = context.obj
@@ -80,7 +83,10 @@ def generate(
     out: Out = Path("worlds"),
     json: Json = False,
 ) -> ExitStatus:
-    """Write random scenarios and a suite; the same seed gives the same world, for which the vehicle has a plan."""
+    """Write random scenarios and a suite.
+
+    The same seed gives the same world, for which the vehicle has a plan.
+    """
     from kraft.worlds.generate import generate_worlds
     from kraft_cli.work.worlds import generated_json
 
