@@ -178,7 +178,13 @@ def run_sysid(
     identification = replace(
         identification,
         warnings=(*identification.warnings, *sign_warnings(units), *evaluation.warnings, *unknown),
-        notes=(*identification.notes, *unit_notes(units), *excluded, *((taken_over,) if taken_over else ())),
+        notes=(
+            *identification.notes,
+            *unit_notes(units),
+            *excluded,
+            *_preview_note(request, identification),
+            *((taken_over,) if taken_over else ()),
+        ),
     )
     found = objections(identification, evaluation)
     if request.out is not None and request.out.exists() and not found:
@@ -386,13 +392,29 @@ def _excluded_note(base: BaseVehicle, settings: Settings) -> tuple[str, ...]:
     return (f"not considered, because planning does not model them: {', '.join(names)}",) if names else ()
 
 
-def _unknown_to_planning(request: SysidRequest, identification: Identification) -> tuple[str, ...]:
-    """The warning that a vehicle file to plan with lacks identified effects, if any of them is not zero."""
-    names = [
+def _not_planned_with(identification: Identification) -> list[str]:
+    """Identified effects that planning does not model, and that are not zero."""
+    return [
         name
         for name in identification.auxiliary
         if is_unknown_to_planning(name) and not identification.parameters[name].is_zero
     ]
+
+
+def _preview_note(request: SysidRequest, identification: Identification) -> tuple[str, ...]:
+    """The note that a vehicle file would be identified otherwise, if it would."""
+    names = _not_planned_with(identification)
+    if request.out is not None or request.extras != "auto" or not names:
+        return ()
+    return (
+        f"planning does not model {', '.join(names)}: with --out, or --extras plan, the best model without them is "
+        "identified, which may be another one",
+    )
+
+
+def _unknown_to_planning(request: SysidRequest, identification: Identification) -> tuple[str, ...]:
+    """The warning that a vehicle file to plan with lacks identified effects, if any of them is not zero."""
+    names = _not_planned_with(identification)
     if request.out is None or not names:
         return ()
     return (
