@@ -33,8 +33,8 @@ from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 from ompl_ext.verification import Requirement, Verification, verify
 
-FINE_EXCESS: Final = 0.05
-"""Excess of the discs that cover the footprint of a vehicle that starts near obstacles, as a share of its width."""
+FINER: Final = (0.05, 0.02, 0.01)
+"""Excesses, as shares of the width, of the covers that are tried for a start too near to an obstacle for few discs."""
 
 
 @dataclass(frozen=True)
@@ -117,10 +117,12 @@ def plan_task(
     workspace, safety, settings = workspace_of(task, vehicle), safety_of_task(task), settings_of(task, vehicle)
     dirt = DirtSolver(vehicle, workspace, goal_of(task), safety, settings, threads=threads)
     spare = dirt.start(state, seed)
-    if spare < 0.0 and settings.excess == 0.0 and _distance(dirt, state) > 0.0:  # free, but too near for few discs
-        settings = replace(settings, excess=FINE_EXCESS)
-        dirt = DirtSolver(vehicle, workspace, goal_of(task), safety, settings, threads=threads)
-        spare = dirt.start(state, seed)
+    free = _distance(dirt, state) if spare < 0.0 and settings.excess == 0.0 else 0.0
+    for excess in FINER:
+        if spare < 0.0 and free > excess * vehicle.footprint.width:  # free, but too near for few discs
+            settings = replace(settings, excess=excess)
+            dirt = DirtSolver(vehicle, workspace, goal_of(task), safety, settings, threads=threads)
+            spare = dirt.start(state, seed)
     setup_seconds = clock.perf_counter() - began
     budget = budget or budget_of(task)
     reason = _infeasible_start(dirt, state, spare)
