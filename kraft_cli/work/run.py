@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from kraft.config.overrides import parse_overrides, value_text
 from kraft.driving.control import kernel_modules, needs_steps, settings_for
 from kraft.driving.messages import Cycle
@@ -18,12 +20,14 @@ from kraft.evaluation.statistics import percentile, while_driving
 from kraft.evaluation.summary import measures_json
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
+from kraft.scenario import Scenario
 from kraft.text import counted, finite, metres
 from kraft.trial.measures import Measures
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
 from kraft_cli.work.run_folder import check_run_folder, write_run
 from kraft_cli.work.trial_outputs import NO_OUTPUT, OutputOptions, TrialOutputs
 from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
+from ompl_ext.vehicle import Footprint
 
 
 @dataclass(frozen=True)
@@ -144,6 +148,7 @@ def run_json(run: Run) -> dict[str, Any]:
         "cycles": len(result.cycles),
         "contingencies": result.contingencies,
         "min_clearance_m": finite(result.min_clearance),
+        "outside_m": outside_bounds(run.spec.scenario, run.spec.vehicle.footprint, result),
         "first_plan_ms": planning[0] if planning else None,
         "planning_ms_p50": percentile(while_driving(planning), 0.5),
         "planning_ms_p99": percentile(while_driving(planning), 0.99),
@@ -157,9 +162,21 @@ def run_json(run: Run) -> dict[str, Any]:
     }
 
 
+def outside_bounds(scenario: Scenario, footprint: Footprint, result: TrialResult) -> float:
+    """Distance by which the true footprint has left the bounds at most, m; 0 if it has not."""
+    poses = np.array([step.pose for step in result.steps])
+    if not len(poses):
+        return 0.0
+    (x, y), c, s = footprint.corners().T, np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    corners = poses[:, :2, None] + np.stack([np.outer(c, x) - np.outer(s, y), np.outer(s, x) + np.outer(c, y)], axis=1)
+    low, high = np.array([scenario.bounds.x, scenario.bounds.y]).T
+    return max(0.0, float(np.max(low - corners.min(axis=2))), float(np.max(corners.max(axis=2) - high)))
+
+
 def run_table(run: Run) -> list[tuple[str, str]]:
     """Labels and values of the result table."""
     result, planning = run.result, _planning(run.result)
+    outside = outside_bounds(run.spec.scenario, run.spec.vehicle.footprint, result)
     rows = [
         ("scenario", result.scenario),
         ("method", run.spec.method.title),
@@ -168,6 +185,7 @@ def run_table(run: Run) -> list[tuple[str, str]]:
         ("result", outcome_text(result.outcome, result.obstacle, result.time)),
         *([] if result.cause is None else [("cause", f"{result.cause.kind}: {result.cause.text}")]),
         ("clearance", f"{metres(result.min_clearance, '-')} at least"),
+        *([("outside", f"of the bounds by up to {metres(outside)}: there is no wall")] if outside > 0.0 else []),
         ("cycles", f"{len(result.cycles)}, {result.contingencies} of them with the contingency"),
         *measures_table(result.measures, result.contingencies),
     ]

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from support.evaluation import places
 from support.paths import ROOT
@@ -19,7 +22,7 @@ from kraft.trial.result import TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
-from kraft_cli.work.run import RunRequest, cycle_line, run_scenario, run_table
+from kraft_cli.work.run import RunRequest, cycle_line, outside_bounds, run_scenario, run_table
 
 KEYS = {
     "scenario", "method", "seed", "outcome", "t_ex_s", "cycles", "contingencies", "min_clearance_m", "planning_ms_p50",
@@ -201,3 +204,15 @@ def test_every_option_and_key_of_kraft_run_is_described(capsys: pytest.CaptureFi
     content = json.loads(capsys.readouterr().out)
     cycle = json.loads(Path("o/cycles.jsonl").read_text().splitlines()[0])
     assert set(content) | set(cycle) <= set(re.findall(r"`(\w+)`", text))
+
+
+def test_a_car_that_leaves_the_bounds_is_said_to(short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scenario, vehicle = load_scenario(short), load_vehicle("mushr")
+    poses = np.array([[1.0, 2.0, 0.0], [3.9, 2.0, 0.5 * math.pi], [3.9, 2.0, 0.0]])
+    steps = tuple(SimpleNamespace(pose=pose) for pose in poses)
+    half = vehicle.footprint.length / 2 + vehicle.footprint.offset
+    for count, outside in ((1, 0.0), (2, vehicle.footprint.width / 2 - 0.1), (3, half - 0.1)):
+        result = SimpleNamespace(steps=steps[:count])
+        assert outside_bounds(scenario, vehicle.footprint, result) == pytest.approx(outside)  # type: ignore[arg-type]
+    assert main(["run", "short.yaml", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["outside_m"] == 0.0
