@@ -92,3 +92,8 @@ def _append(parent: Element, child: Content) -> None:
         parent[-1].tail = (parent[-1].tail or "") + child
     else:
         parent.text = (parent.text or "") + child
+
+
+def hint(text: str) -> Element:
+    """Words about what a reader can do, which a print does not have."""
+    return element("span", text, class_="hint")

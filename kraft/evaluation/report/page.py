@@ -6,16 +6,15 @@ The overview shows how every method did in every entry and in all of them, and w
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from importlib.resources import files
-from typing import Any, Final
-from urllib.parse import quote, urlencode
+from typing import Final
+from urllib.parse import quote
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from kraft.evaluation.journal import TrialRow, success_times
-from kraft.evaluation.report.elements import NO_VALUE, Content, document, element, outcome_legend, stacked
+from kraft.evaluation.report.elements import NO_VALUE, Content, document, element, hint, outcome_legend, stacked
 from kraft.evaluation.report.entry import (
     floor_plan,
     outcomes_chart,
@@ -28,11 +27,11 @@ from kraft.evaluation.report.entry import (
     trials_section,
 )
 from kraft.evaluation.report.methods import Shown, measures_table, methods
-from kraft.evaluation.report.results import VERSIONS, RecordedCell, Results
-from kraft.evaluation.report.sweeps import settings_text, sweep_pictures, sweeps
+from kraft.evaluation.report.overview import causes, chip, overview, settings_of
+from kraft.evaluation.report.results import VERSIONS, Results
+from kraft.evaluation.report.sweeps import sweep_pictures, sweeps
 from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted, decimals
-from kraft.trial.cause import CauseKind
 
 LISTED: Final = 200  # unsuccessful trials of a scenario that are listed
 SHORTEST_AXIS: Final = 0.1  # of times, s: with a start in the goal every time is 0
@@ -123,7 +122,7 @@ def _sweeps(results: Results) -> Element | None:
     return element(
         "section",
         element("h2", "Sweeps"),
-        element("p", words, _hint(" Point at a mark for its numbers."), class_="key"),
+        element("p", words, hint(" Point at a mark for its numbers."), class_="key"),
         *figures,
         class_="sweeps",
         id="sweeps",
@@ -135,7 +134,7 @@ def _key(shown: Shown, failed: bool) -> Element:
     words = (
         *(
             "Below the bar of a method stands each trial, by seed",
-            _hint("; point at one to see how it ended, follow it to replay it"),
+            hint("; point at one to see how it ended, follow it to replay it"),
         ),
         *(". The bar has ", _stroke("ink"), " the 95 % Wilson interval of the success rate, and above it "),
         *(
@@ -162,11 +161,6 @@ def _key(shown: Shown, failed: bool) -> Element:
 def _stroke(look: str) -> Element:
     """Sample of a line in a legend: its colour follows the page's."""
     return element("i", class_=f"stroke {look}")
-
-
-def _hint(text: str) -> Element:
-    """Words about what a reader can do, which a print does not have."""
-    return element("span", text, class_="hint")
 
 
 def _entry(results: Results, name: str, shown: Shown) -> Element:
@@ -298,207 +292,4 @@ def _foot() -> Element:
         "footer",
         "The trials are in trials.jsonl of the results folder, these numbers in summary.json, and what was run, as it "
         "was understood, with hashes and versions, in manifest.json.",
-    )
-
-
-UNRECORDED = "not recorded"
-"""Cause of a failure in older evaluations."""
-
-
-@dataclass(frozen=True)
-class Count:
-    """Numbers of trials by their outcomes."""
-
-    trials: int
-    success: int
-    collision: int
-    timeout: int
-    failed: int
-
-    @classmethod
-    def over(cls, results: Iterable[Result]) -> Count:
-        """Numbers of trials in several rows together."""
-        rows = list(results)
-        return cls(*(sum(getattr(row, name) for row in rows) for name in cls.__dataclass_fields__))
-
-    @property
-    def bar(self) -> str:
-        """Widths of the bar of outcomes behind a cell, for its style."""
-        ends = (self.success, self.success + self.timeout, self.success + self.timeout + self.collision)
-        return "; ".join(f"--{name}: {100 * end / self.trials:.3g}%" for name, end in zip("stc", ends, strict=True))
-
-    @property
-    def others(self) -> str:
-        """Outcomes that are not a success, in words."""
-        counts = ((self.collision, "collision"), (self.timeout, "timeout"), (self.failed, "defect"))
-        return ", ".join(counted(count, noun) for count, noun in counts if count)
-
-    @property
-    def share(self) -> float:
-        """Share of successes; 0 without trials."""
-        return self.success / self.trials if self.trials else 0.0
-
-
-def overview(results: Results) -> Element:
-    """Table with a row for each entry and a column for each method; of many entries, those that fail most come first.
-
-    The first row has the totals; several methods have a last column of all together.
-    """
-    summary = results.summary
-    entries, methods = list(results.entries.values()), results.methods
-    by_cell, counts = summary.by_cell, {cell.name: Count.over(summary.of_entry(cell.name)) for cell in entries}
-    many, several = len(entries) > MANY, len(methods) > 1
-    if many:
-        # stable: the order of the suite where it is equal, and without trials at the end
-        entries.sort(key=lambda cell: counts[cell.name].share if counts[cell.name].trials else 2.0)
-    rows = [
-        _line(
-            _name(results, cell),
-            [
-                *(_cell(by_cell.get((cell.name, method))) for method in methods),
-                *([_all(counts[cell.name], cell.name)] if several else []),
-            ],
-        )
-        for cell in entries
-    ]
-    totals = {method: Count.over(summary.of_method(method)) for method in methods}
-    everything = [_all(Count.over(summary.results))] if several else []
-    titles = [*methods.values(), *(["all"] if several else [])]
-    heading = element("tr", element("th", "entry"), *(element("th", title) for title in titles))
-    first = _line(["all entries"], [*(_total(n, m) for m, n in totals.items()), *everything], class_="totals")
-    table = element(
-        "table",
-        element("thead", heading),
-        element("tbody", first, class_="totals") if len(entries) > 1 else None,
-        element("tbody", *rows, class_="rows"),
-        class_="overview sortable many" if many else "overview sortable",
-    )
-    order = " Those that fail most come first." if many else ""
-    words = f"Successes of each method in each entry; the colours of a cell are a bar of its outcomes.{order}"
-    return element(
-        "section",
-        element("h2", "Overview"),
-        element(
-            "p",
-            *outcome_legend(summary.failed > 0),
-            words,
-            _hint(" A heading sorts by its column, a number lists its trials."),
-            class_="key",
-        ),
-        element("div", table, class_="wide"),
-        id="overview",
-    )
-
-
-def causes(results: Results) -> Element | None:
-    """Table of the causes of collisions and timeouts for each method; None if nothing failed."""
-    by_method: dict[str, Counter[str]] = {method: Counter() for method in results.methods}
-    for result in results.summary.results:
-        found = by_method[result.method]
-        found.update(result.causes)
-        if without := result.collision + result.timeout - sum(result.causes.values()):
-            found[UNRECORDED] += without
-    all_of = sum(by_method.values(), Counter[str]())
-    if not all_of:
-        return None
-    names = sorted(all_of, key=lambda name: (-all_of[name], name))
-    most = max(count for found in by_method.values() for count in found.values())
-    rows = [
-        element(
-            "tr",
-            element("th", title, scope="row"),
-            *(_cause_cell(by_method[method][name], method, name, most) for name in names),
-            element("td", str(sum(by_method[method].values())), class_="number"),
-        )
-        for method, title in results.methods.items()
-    ]
-    heading = element("tr", element("th", "method"), *(element("th", name) for name in names), element("th", "all"))
-    total = element(
-        "tr",
-        element("th", "all methods", scope="row"),
-        *(element("td", str(all_of[name]), class_="number") for name in (*names, None) if name),
-        element("td", str(all_of.total()), class_="number"),
-    )
-    several = len(results.methods) > 1  # the totals of one method are its own
-    foot = element("tbody", total, class_="totals") if several else None
-    table = element("table", element("thead", heading), element("tbody", *rows), foot, class_="causes")
-    meanings = [(name, MEANINGS.get(name)) for name in names]
-    return element(
-        "section",
-        element("h2", "Why trials failed"),
-        element("p", "Collisions and timeouts by their cause.", _hint(" A number lists its trials."), class_="key"),
-        element("div", stacked(table), class_="wide"),
-        element("dl", *(element("div", element("dt", name), element("dd", text)) for name, text in meanings if text),
-                class_="meanings"),
-        id="causes",
-    )  # fmt: skip
-
-
-MEANINGS: Final = {str(kind): kind.meaning for kind in CauseKind} | {UNRECORDED: "the trial is of an older kraft"}
-"""What each cause means."""
-
-
-def settings_of(cell: RecordedCell) -> str:
-    """What an entry sets, and its scenario where the name does not state it."""
-    label = cell.base or cell.name
-    parts = [] if label == cell.scenario else [cell.scenario]
-    return ", ".join([*parts, *([settings_text(cell.set)] if cell.set else [])])
-
-
-def chip(result: Result) -> Element:
-    """Successes of a method in the summary line of an entry."""
-    count = Count.over([result])
-    if not count.trials:
-        return element("span", f"{result.title} {NO_VALUE}", class_="chip")
-    aligned = str(count.success).rjust(len(str(count.trials)), "\u2007")  # a space as wide as a digit
-    text = f"{result.title} ", element("b", aligned), f" of {count.trials}"
-    return element("span", *text, class_="chip ends", style=count.bar, title=count.others or None)
-
-
-def _name(results: Results, cell: RecordedCell) -> list[Content]:
-    settings = settings_of(cell)
-    link = element("a", cell.base or cell.name, href=f"#{results.slugs[cell.name]}")
-    return [link, element("small", settings, title=settings) if settings else None]
-
-
-def _line(name: Sequence[Content], cells: Sequence[Element], **attributes: Any) -> Element:
-    return element("tr", element("th", *name, scope="row"), *cells, **attributes)
-
-
-def _cause_cell(count: int, method: str, cause: str, most: int) -> Element:
-    if not count:
-        return element("td", NO_VALUE, class_="number none", data_value=0.0)
-    link = element("a", str(count), href=_list_link(method=method, cause=cause)) if cause != UNRECORDED else str(count)
-    return element("td", link, class_="number heat", style=f"--heat: {count / most:.2f}", data_value=float(count))
-
-
-def _list_link(**chosen: str) -> str:
-    """Address that filters the list of trials."""
-    return f"#show&{urlencode(chosen)}"
-
-
-def _cell(result: Result | None) -> Element:
-    if result is None or not result.trials:
-        return element("td", NO_VALUE, data_value="")
-    paper = f"paper {result.paper.success} of {result.paper.trials}" if result.paper else None
-    return _counts(Count.over([result]), paper, _list_link(entry=result.entry, method=result.method))
-
-
-def _all(count: Count, entry: str | None = None) -> Element:
-    if not count.trials:
-        return element("td", NO_VALUE, data_value="")
-    return _counts(count, None, _list_link(**({"entry": entry} if entry else {})), small=entry is not None)
-
-
-def _total(count: Count, method: str) -> Element:
-    """Cell of a total; its other numbers are in the section about the methods."""
-    return _counts(count, None, _list_link(method=method), small=False) if count.trials else element("td", NO_VALUE)
-
-
-def _counts(count: Count, note: str | None, link: str, *, small: bool = True) -> Element:
-    beside = [element("small", text) for text in (count.others, note) if text and small]
-    number = element("a", element("b", str(count.success)), element("span", f" of {count.trials}"), href=link)
-    title = ", ".join(text for text in (count.others, note) if text)
-    return element(
-        "td", number, *beside, class_="ends", style=count.bar, title=title or None, data_value=round(count.share, 6)
     )
