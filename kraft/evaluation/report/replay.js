@@ -284,7 +284,9 @@ function plotsOf(drive) {
   }
   const lines = [{ name: "deviation", look: "one", times: drive.t, values: drive.deviation }];
   if (drive.delta.some((value) => value !== null)) lines.push({ name: "δ(v)", look: "two", times: drive.t, values: drive.delta });
-  found.push(new Plot(drive, "deviation from the prediction", "m", lines, 0));
+  const last = drive.t[drive.deviation.findLastIndex((value) => value !== null)] ?? 0;
+  const partly = drive.cycles.length === 1 && last < drive.end - 0.5; // a single plan is predicted for one cycle
+  found.push(new Plot(drive, `deviation from the prediction${partly ? `, recorded for ${last.toFixed(1)} s` : ""}`, "m", lines, 0));
   found.push(new Plot(drive, "speed", "m/s", [{ name: "", look: "one", times: drive.t, values: drive.speed }]));
   for (const { name, range, values, unit } of drive.commands) {
     const plot = new Plot(drive, `command: ${name.replaceAll("_", " ")}`, unit.startsWith("share") ? "" : unit, [{ name: "", look: "one", times: drive.t, values }]);
