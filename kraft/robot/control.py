@@ -445,12 +445,5 @@ class Control:
 
 def in_goal(goal: Goal, vehicle: Vehicle, state: Floats) -> bool:
     """Whether an estimated state (nx,) is inside the goal region by a margin."""
-    x, y, theta = pose_of(state, vehicle)
-    if math.dist((x, y), goal.center) > goal.radius - min(GOAL_MARGIN, 0.25 * goal.radius):
-        return False
-    values = {name: float(state[k]) for k, name in enumerate(vehicle.state)}
-    if not all(low <= values.get(name, low) <= high for name, (low, high) in goal.limits.items()):
-        return False
-    if goal.heading is None or goal.heading_tolerance is None:
-        return True
-    return abs(math.remainder(theta - goal.heading, math.tau)) <= goal.heading_tolerance
+    components = {name: float(state[k]) for k, name in enumerate(vehicle.state)}
+    return goal.contains(*pose_of(state, vehicle), components, min(GOAL_MARGIN, 0.25 * goal.radius))

@@ -44,6 +44,19 @@ class Goal:
     heading_tolerance: float | None = None
     limits: Mapping[str, Vec2] = field(default_factory=dict, hash=False)
 
+    def contains(self, x: float, y: float, theta: float, components: Mapping[str, float], margin: float = 0.0) -> bool:
+        """Whether a pose (m, rad) is in the region, `margin` (m) from its border, and other components in their limits.
+
+        Limits of components without a value are not checked.
+        """
+        if math.hypot(x - self.center[0], y - self.center[1]) > self.radius - margin:
+            return False
+        if not all(low <= components.get(name, low) <= high for name, (low, high) in self.limits.items()):
+            return False
+        if self.heading is None or self.heading_tolerance is None:
+            return True
+        return abs(math.remainder(theta - self.heading, math.tau)) <= self.heading_tolerance
+
 
 @dataclass(frozen=True, kw_only=True)
 class Task:

@@ -26,7 +26,7 @@ from kraft.simulation.contacts import Collision
 from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_rotation
 from kraft.simulation.robots import MjcfRobot, SimulatedCar, mjcf_robot
 from kraft.simulation.scene import build
-from kraft.simulation.world import TIMESTEP, World, is_in_goal
+from kraft.simulation.world import TIMESTEP, World
 from kraft.text import suggestion
 from kraft.vehicles import CAR_CONTROLS, FORCE, STEEPEST, felt_gravity
 from kraft.vehicles.load import load_vehicle, natural_robot
@@ -387,7 +387,7 @@ class ModelWorld:
     def in_goal(self) -> bool:
         """Whether the true state is in the goal region."""
         x, y, theta = self._state[self._pose].tolist()
-        return is_in_goal(self._scenario.goal, x, y, theta, self.components)
+        return self._scenario.goal.contains(x, y, theta, self.components)
 
     @cached_property
     def model(self) -> Any:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import lru_cache, partial
 from typing import Any, Final
 
@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from kraft.errors import Code, Defect, InputError
-from kraft.scenario import Goal, Scenario, Start
+from kraft.scenario import Scenario, Start
 from kraft.scenario.truth import VehicleGap
 from kraft.simulation.car import MARKER, design_of
 from kraft.simulation.contacts import Collision, CollisionDetector
@@ -181,7 +181,7 @@ class World:
     @property
     def in_goal(self) -> bool:
         """Whether the robot is in the goal region: position, and what else the goal bounds."""
-        return is_in_goal(self._goal, *self._planar(self._body), {"v": self.speed, **self.components})
+        return self._goal.contains(*self._planar(self._body), {"v": self.speed, **self.components})
 
     @property
     def depth_in_floor(self) -> float:
@@ -219,20 +219,6 @@ def _compiled(scenario: Scenario, robot: SimulatedRobot) -> Any:
     """Compiled model of a scenario, kept because compiling takes as long as a second of a drive; copy it before use."""
     truth = scenario.truth
     return build(scenario, FloorFrame.of(truth.tilt), TIMESTEP, partial(robot.add, gap=truth.vehicle), grip=robot.grip)
-
-
-def is_in_goal(goal: Goal, x: float, y: float, theta: float, components: Mapping[str, float]) -> bool:
-    """Whether a pose (m, rad) and other components by name are within a goal region, as far as it bounds them.
-
-    Limits of components that the world does not know are not checked.
-    """
-    if math.hypot(x - goal.center[0], y - goal.center[1]) > goal.radius:
-        return False
-    if not all(low <= components.get(name, low) <= high for name, (low, high) in goal.limits.items()):
-        return False
-    if goal.heading is None or goal.heading_tolerance is None:
-        return True
-    return abs(math.remainder(theta - goal.heading, 2 * math.pi)) <= goal.heading_tolerance
 
 
 def steps_of(duration: float, dt: float) -> int:
