@@ -8,6 +8,13 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 
+def listed(items: Iterable[object], most: int = 3) -> str:
+    """Items with semicolons between them, the first few alone: ``a; b; c; and 9 more``."""
+    texts = list(map(str, items))
+    more = [f"and {len(texts) - most} more"] if len(texts) > most else []
+    return "; ".join([*texts[:most], *more])
+
+
 def counted(number: int, noun: str) -> str:
     """Number with its noun: ``1 trial``, ``2 trials``, ``2 emergencies``."""
     return f"{number} {noun if number == 1 else _plural(noun)}"

@@ -34,7 +34,7 @@ from kraft.driving.rest import (  # fmt: skip
 from kraft.driving.search_budget import LEVEL_TIME, SearchBudget
 from kraft.driving.solvers import Solvers, goal_region
 from kraft.errors import Defect
-from kraft.text import counted
+from kraft.text import counted, listed
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.query_tree import Progress
@@ -414,7 +414,7 @@ class Proposer:
         until = math.inf if self._settings.mode == "one-shot" else self._settings.cycle
         problems = verify(dirt, plan.head(until)).problems
         if problems:
-            raise Defect(f"the plan of cycle {number} fails verification: {'; '.join(map(str, problems))}")
+            raise Defect(f"the plan of cycle {number} fails verification: {listed(problems)}")
 
 
 def _leads_to_goal(proposal: Proposal) -> bool:

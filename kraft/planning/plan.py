@@ -24,7 +24,7 @@ from kraft.planning.workspace import (
     workspace_of,
 )
 from kraft.scenario import Scenario, Task, load_scenario
-from kraft.text import counted
+from kraft.text import counted, listed
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
@@ -204,7 +204,7 @@ def _accepted(found: SearchResult, verification: Verification | None, seed: int)
     """
     if found.plan is None or verification is None or not verification.problems:
         return found.plan, ""
-    problems = "; ".join(map(str, verification.problems))
+    problems = listed(verification.problems)
     if found.promises_safety:
         raise Defect(f"the plan of seed {seed} fails verification: {problems}")
     collides = any(problem.requirement is Requirement.COLLISION for problem in verification.problems)

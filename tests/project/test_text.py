@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from kraft.text import counted, decimals, finite, grouped, metres, nearest
+from kraft.text import counted, decimals, finite, grouped, listed, metres, nearest
 
 
 @pytest.mark.parametrize(("number", "text"), [(0, "0 trials"), (1, "1 trial"), (2, "2 trials")])
@@ -28,3 +28,7 @@ def test_finite_numbers_keep_their_digits() -> None:
 @pytest.mark.parametrize(("word", "option"), [("Turns", "turns"), ("turn", "turns"), ("yaw", "yaw_deg"), ("zzz", None)])
 def test_the_same_name_is_nearer_than_one_that_begins_with_it(word: str, option: str | None) -> None:
     assert nearest(word, ["turns-real", "turns", "yaw_deg"]) == option
+
+
+def test_of_a_long_list_the_first_few_are_said_and_how_many_more() -> None:
+    assert [listed(range(n)) for n in (0, 1, 3, 5)] == ["", "0", "0; 1; 2", "0; 1; 2; and 2 more"]
