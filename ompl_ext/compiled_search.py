@@ -54,8 +54,16 @@ class CompiledSearch:
         threads = int(params["threads"])
         if settings.polish:
             polish_kernels(checker.vehicle)  # compiled here, before any planning time is measured
+        region = replace(goal.goal, radius=goal.getThreshold())
         self.dirt = DirtSolver(
-            checker.vehicle, checker.workspace, goal.goal, safety, settings, capacity, max_nodes, threads
+            checker.vehicle,
+            checker.workspace,
+            region,
+            safety,
+            settings,
+            capacity,
+            max_nodes,
+            threads,
         )
 
     def clear(self) -> None:

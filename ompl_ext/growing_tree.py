@@ -98,10 +98,9 @@ class _SparseTree:
 
     def grow(self, tree: Tree, problem: Problem, work: at.Lanes, brake: at.Lanes, iterations: int) -> None:
         """Visit nodes; witnesses are found anew if nodes were added or removed since."""
-        count = tree.count
+        count, memory = tree.count, len(tree.state)
+        self._witnesses = with_room(self._witnesses, memory - int(self._witnesses.count[at.SIZE]), memory)
         if self._known != (int(count[at.SIZE]), int(count[at.ITERATIONS]), int(count[at.PRUNED])):
-            if len(self._witnesses.state) < len(tree.state):
-                self._witnesses = new_tree(len(tree.state), 1, 1, self._bounds)
             reset(self._witnesses, tree.random)
             reset_indices(tree)
         self._grow(tree, self._witnesses, problem, work, brake, self._q, self._radii, iterations)

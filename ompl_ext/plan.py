@@ -73,6 +73,17 @@ class TreeView:
     costs: Floats
     costs_to_go: Floats
 
+    def edges_of_first_root(self) -> tuple[list[int], Matrix, Floats]:
+        """Parents (-1 for the root), controls (m, nu) and durations (m,) of the edges below the first root."""
+        root = np.arange(len(self.parents))
+        for node, parent in enumerate(self.parents.tolist()):
+            if parent >= 0:
+                root[node] = root[parent]
+        kept = np.flatnonzero(root == 0)[1:]
+        number = np.full(len(root), -1)
+        number[kept] = np.arange(len(kept))
+        return number[self.parents[kept]].tolist(), self.controls[kept], self.durations[kept]
+
 
 def tree_view(tree: Tree, states: Matrix) -> TreeView:
     """Copy the tree's arrays, with `states` (n, nx) for the nodes."""

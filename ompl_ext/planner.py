@@ -85,8 +85,9 @@ class DIRT(ob.Planner):
         self._retained = _Retained(*remaining_edges(controls, np.array(path.getControlDurations()), elapsed))
 
     def retain_tree(self, tree: TreeView) -> None:
-        """Begin the next query with the edges of an earlier tree, propagated from the new start."""
-        self._retained = _Retained((tree.parents[1:] - 1).tolist(), tree.controls[1:], tree.durations[1:])
+        """Begin the next query with the edges of an earlier tree below its first start, from the new start."""
+        parents, controls, durations = tree.edges_of_first_root()
+        self._retained = _Retained(parents, controls, durations)
 
     def solve(
         self,
@@ -102,7 +103,6 @@ class DIRT(ob.Planner):
         condition.
         """
         limit = next((each for each in (ptc, solveTime, terminationConditionFn) if each is not None), 1.0)
-        condition = _condition(limit, checkInterval)
         status = ob.PlannerStatus
         definition = self.getProblemDefinition()
         if definition is None:
@@ -125,7 +125,7 @@ class DIRT(ob.Planner):
         if self._retained is not None:
             self._search.retain(self._retained.parents, self._retained.controls, self._retained.durations)
             self._retained = None
-        self._search.grow(condition)
+        self._search.grow(_condition(limit, checkInterval))  # made here: the maps are not the search
         return self._report(definition, goal)
 
     def clear(self) -> None:
@@ -176,11 +176,18 @@ class DIRT(ob.Planner):
         return search.count(at.SIZE) > 0
 
     def _prepare(self, goal: ob.Goal) -> None:
-        """Make the search for this goal, or restart the existing one after `clear()`."""
-        checker = self.getSpaceInformation().getStateValidityChecker()
-        key = (goal, checker, *self._params.getParams().items())
+        """Make the search for this goal, or restart the existing one after `clear()`.
+
+        With another goal, or another threshold of it, the query is another one: it begins at the starts again.
+        """
+        si = self.getSpaceInformation()
+        durations = si.getPropagationStepSize(), si.getMinControlDuration(), si.getMaxControlDuration()
+        query = goal, goal.getThreshold() if isinstance(goal, ob.GoalRegion) else 0.0
+        key = (query, si.getStateValidityChecker(), durations, *self._params.getParams().items())
         if self._search is not None and not self._cleared:
-            return
+            if query == self._search_key[0]:
+                return
+            self.getPlannerInputStates().restart()
         if self._cleared:
             self._clears += 1
         self._cleared = False

@@ -186,10 +186,11 @@ def _with_pose_cost_to_go(
 
 
 class _Vehicle:
-    """Vehicle as the key of a cache: its motion and its footprint."""
+    """Vehicle as the key of a cache: its motion, footprint and top speed."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self.vehicle, self._key = vehicle, (vehicle.footprint, *motion_key(vehicle))
+        self.vehicle = vehicle
+        self._key = vehicle.footprint, vehicle.top_speed, *motion_key(vehicle)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Vehicle) and self._key == other._key

@@ -112,10 +112,11 @@ class QueryTree(EdgeChecker):
     def add_root(self, state: Floats) -> float:
         """Add a start state; returns its spare clearance as `start` does.
 
-        One in the goal is a plan only if it has a contingency, like every end of a plan.
+        One in the goal is a plan only if it has clearance, and a contingency like every end of a plan.
         """
         slack = self._propagate(np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), 0.0)
-        if self._work.at_goal[0] == 1 and self.safety.enabled and self.contingency(self._work.source) is None:
+        unsafe = self.safety.enabled and self.contingency(self._work.source) is None
+        if self._work.at_goal[0] == 1 and (slack < 0.0 or unsafe):
             self._work.at_goal[0] = 0
         for each in self._trees:
             add_root(each.tree, self._work)

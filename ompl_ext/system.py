@@ -111,9 +111,9 @@ class PlanarGoal(ob.GoalRegion):
         x, y = self._center
         distance = math.hypot(state[self._x] - x, state[self._y] - y)
         if self._has_heading and math.cos(state[self._theta] - self.goal.heading) < self._least_cosine:
-            return max(distance, 1.001 * self.goal.radius)
+            return max(distance, 1.001 * self.getThreshold())
         if any(not low <= state[k] <= high for k, low, high in self._limits):
-            return max(distance, 1.001 * self.goal.radius)
+            return max(distance, 1.001 * self.getThreshold())
         return distance
 
 

@@ -174,8 +174,8 @@ def _slot(keys: Ints, key: int) -> int:
 
 
 @part
-def _open_goal(table: _Sparse, region: Floats, maps: Maps) -> int:
-    """Open the free poses on the grid within the goal region; their number."""
+def _open_goal(table: _Sparse, region: Floats, maps: Maps, most: int) -> int:
+    """Open the free poses on the grid within the goal region, `most` of them at most; their number."""
     count, frame = 0, table.frame
     bins, side = int64(frame[3]), 1.0 / frame[2]
     around = int64(math.ceil(region[3] / side))
@@ -198,6 +198,8 @@ def _open_goal(table: _Sparse, region: Floats, maps: Maps) -> int:
                 table.pose[slot, 0], table.pose[slot, 1], table.pose[slot, 2] = x, y, theta
                 link_cell(table.link, table.buckets, slot, int64(0))
                 count += 1
+                if count >= most:  # a wide region with a small tolerance has more: the table would overflow
+                    return count
     return count
 
 
@@ -238,7 +240,7 @@ def _search(
     table: _Sparse, shortest: float, motions: Matrix, reversal: float, region: Floats, maps: Maps, most: int
 ) -> None:
     """Dijkstra's search with buckets of `shortest` s, backwards from the goal, until `most` cells are reached."""
-    open_cells, current = _open_goal(table, region, maps), int64(0)
+    open_cells, current = _open_goal(table, region, maps, most), int64(0)
     reached = open_cells
     while open_cells > 0 and reached < most:
         cell = int64(table.buckets[current % len(table.buckets)])

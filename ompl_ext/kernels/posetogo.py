@@ -104,9 +104,9 @@ def pose_cost_to_go(
     headings = min(max(math.ceil(2.0 * math.pi / (cell * curvature)), HEADINGS[0]), HEADINGS[1])
     fits = area * headings / cell**2 <= 1.2 * MAX_CELLS  # which rounding of the bins may exceed
     half = math.inf if fits else 0.5 * cell * math.sqrt(MAX_CELLS / headings)
-    before = [math.ceil(min(c - low, half) / cell) + 1 for c, (low, _) in zip(goal, bounds, strict=False)]
+    before = [math.ceil(max(min(c - low, half), 0.0) / cell) + 1 for c, (low, _) in zip(goal, bounds, strict=False)]
     columns, rows = (
-        before[k] + math.ceil(min(bounds[k][1] - goal[k], half) / cell) + 2 for k in range(2)
+        before[k] + math.ceil(max(min(bounds[k][1] - goal[k], half), 0.0) / cell) + 2 for k in range(2)
     )  # the goal is in the centre of a cell
     origin = (goal[0] - before[0] * cell, goal[1] - before[1] * cell)
     count = headings * rows * columns

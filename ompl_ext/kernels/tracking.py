@@ -123,7 +123,9 @@ def arc_length_at(track: Track, path: int, time: float) -> float:
 def index_at(track: Track, path: int, arc_length: float) -> int:
     """Index in a path of the sample nearest to an arc length (m)."""
     spacing, last = track.spacing[path], samples_of(track, path) - 1.0
-    return round(min(max(arc_length / spacing, 0.0), last)) if spacing > 0.0 else 0
+    if not (spacing > 0.0 and arc_length > 0.0):  # also of a state that is not a number
+        return 0
+    return round(min(arc_length / spacing, last))
 
 
 @part

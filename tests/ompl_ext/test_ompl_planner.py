@@ -27,9 +27,12 @@ from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.tree_memory import prune, set_costs_to_go
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.peers import plan_with_ompl
+from ompl_ext.plan import TreeView
 from ompl_ext.planner import DIRT
+from ompl_ext.problem import pose_cost_to_go_of
 from ompl_ext.query import Goal, Safety, Settings
-from ompl_ext.system import SimpleSetup, sampling_range, simple_setup
+from ompl_ext.solver import DirtSolver
+from ompl_ext.system import PlanarGoal, SimpleSetup, sampling_range, simple_setup
 from ompl_ext.validity import SafetyValidityChecker
 
 ou.setLogLevel(ou.LOG_NONE)
@@ -458,3 +461,87 @@ def test_a_heading_and_limits_hold_where_the_path_ends(callbacks: bool) -> None:
     path = setup.getSolutionPath()
     end = path.getState(path.getStateCount() - 1)
     assert goal.contains(BENCHMARK, np.array([end[k] for k in range(4)]))
+
+
+@pytest.mark.parametrize("callbacks", [False, True])
+def test_another_goal_begins_another_query_without_clear(callbacks: bool) -> None:
+    workspace = Workspace(((0.0, 5.0), (0.0, 5.0)), (box((2.5, 2.0), (1.0, 3.0)),))
+    setup = simple_setup(UNICYCLE2, workspace, start=np.array([0.5, 0.5, 0, 0, 0]), goal=Goal((4.5, 0.5), 0.4))
+    si = setup.getSpaceInformation()
+    setup.setPlanner(DIRT(si, use_callbacks=callbacks))
+    for goal in (Goal((4.5, 0.5), 0.4), Goal((0.5, 4.5), 0.4)):
+        setup.getProblemDefinition().clearSolutionPaths()
+        region = PlanarGoal(si, UNICYCLE2, goal)
+        setup.setGoal(region)
+        assert setup.solve(2.0)
+        path = setup.getSolutionPath()
+        first, last = path.getState(0), path.getState(path.getStateCount() - 1)
+        assert (first[0], first[1]) == (0.5, 0.5)
+        assert setup.haveExactSolutionPath() == bool(region.isSatisfied(last))
+        assert math.dist((last[0], last[1]), goal.center) < 1.5
+
+
+def test_the_threshold_of_a_goal_and_a_new_propagation_step_hold() -> None:
+    workspace = Workspace(((0.0, 5.0), (0.0, 5.0)))
+    setup = simple_setup(UNICYCLE2, workspace, start=np.array([0.5, 0.5, 0, 0, 0]), goal=Goal((4.0, 0.5), 0.4))
+    si, goal = setup.getSpaceInformation(), setup.getGoal()
+    planner = DIRT(si)
+    setup.setPlanner(planner)
+    assert setup.solve(0.3)
+    goal.setThreshold(0.05)
+    setup.getProblemDefinition().clearSolutionPaths()
+    assert setup.solve(0.5)
+    path = setup.getSolutionPath()
+    assert setup.haveExactSolutionPath() == bool(goal.isSatisfied(path.getState(path.getStateCount() - 1)))
+    si.setPropagationStepSize(0.2)
+    si.setMinMaxControlDuration(1, 3)
+    setup.clear()
+    assert setup.solve(0.3)
+    path = setup.getSolutionPath()
+    durations = [path.getControlDuration(k) for k in range(path.getControlCount())]
+    assert all(0.0 < duration <= 0.6 + 1e-9 for duration in durations)
+    assert path.check()
+
+
+def test_of_a_tree_with_several_starts_the_first_ones_is_retained() -> None:
+    nodes = TreeView(
+        states=np.zeros((6, 4)),
+        parents=np.array([-1, -1, 0, 1, 2, 3]),
+        controls=np.arange(12.0).reshape(6, 2),
+        durations=np.arange(6.0),
+        costs=np.zeros(6),
+        costs_to_go=np.zeros(6),
+    )
+    parents, controls, durations = nodes.edges_of_first_root()
+    assert parents == [-1, 0]
+    assert durations.tolist() == [2.0, 4.0]
+    assert controls.tolist() == [[4.0, 5.0], [8.0, 9.0]]
+
+
+def test_a_start_that_collides_in_the_goal_is_no_plan() -> None:
+    workspace = Workspace(((0.0, 3.0), (0.0, 3.0)), (box((1.0, 1.0), (0.5, 0.5)),))
+    dirt = DirtSolver(UNICYCLE2, workspace, Goal((1.0, 1.0), 0.3), NO_SAFETY)
+    assert dirt.start(np.array([1.0, 1.0, 0.0, 0.0, 0.0])) < 0.0
+    dirt.grow(100)
+    assert dirt.plan() is None
+
+
+def test_maps_of_vehicles_that_differ_in_their_top_speed_alone_are_not_shared() -> None:
+    goal, workspace = Goal((2.0, 2.0), 0.2, heading=1.0, tolerance=0.3), Workspace(((0.0, 4.0), (0.0, 4.0)))
+    slow = replace(UNICYCLE2, top_speed=0.5 * UNICYCLE2.top_speed)
+    found, again, other = (pose_cost_to_go_of(v, workspace, goal, Settings()) for v in (UNICYCLE2, UNICYCLE2, slow))
+    assert found is again is not other
+
+
+def test_witnesses_of_sst_have_memory_for_all_nodes() -> None:
+    workspace = Workspace(((0.0, 20.0), (0.0, 20.0)))
+    settings = Settings(planner="sst", pruning_radius=0.02)
+    solver = DirtSolver(UNICYCLE2, workspace, Goal((19.5, 19.5), 0.2), NO_SAFETY, settings, 64, 4096)
+    solver.start(np.array([0.5, 0.5, 0.0, 0.0, 0.0]))
+    for _ in range(20):
+        solver.grow(seconds=0.02)
+        tree, sparse = solver._trees[0].tree, solver._trees[0]._sparse
+        assert sparse is not None
+        assert len(sparse._witnesses.state) >= int(sparse._witnesses.count[at.SIZE])
+        assert int(sparse._witnesses.count[at.SIZE]) <= len(tree.state)
+    assert len(tree.state) > 64

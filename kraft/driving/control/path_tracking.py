@@ -168,7 +168,9 @@ class GeometricController:
     def _index_at(self, arc_length: float) -> int:
         """Index of the sample of the current path nearest to an arc length (m)."""
         spacing, last = float(self._tracker.track.spacing[self._tracker.path]), self._tracker.samples.shape[1] - 1.0
-        return round(min(max(arc_length / spacing, 0.0), last)) if spacing > 0.0 else 0
+        if not (spacing > 0.0 and arc_length > 0.0):  # also of a state that is not a number
+            return 0
+        return round(min(arc_length / spacing, last))
 
     def _vector_to(self, arc_length: float, state: Floats) -> tuple[float, float]:
         """Vector (m) from the car to the point at an arc length (m), which lies on the tangents beyond the ends."""
