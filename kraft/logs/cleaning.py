@@ -51,6 +51,8 @@ ALWAYS: Final = np.array([[-np.inf, np.inf]])
 """Interval of a dead-man switch that is always held."""
 UPRIGHT_COSINE_MIN: Final = 0.7
 """Cosine of the tilt below which the vehicle is not upright."""
+TILTED_SHARE: Final = 0.1
+"""Share of tilted poses from which on it counts as not upright."""
 
 
 def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tuple[Part, ...], tuple[Finding, ...]]:
@@ -235,7 +237,7 @@ def planar(poses: Samples, findings: Findings) -> tuple[Samples, Array]:
     add_left_out("nan", poses, none, "have no orientation", findings)
     poses = poses.keep(~none)
     x, y, z, w = (poses.values[:, 2:] / np.linalg.norm(poses.values[:, 2:], axis=1, keepdims=True)).T
-    if np.median(1 - 2 * (x * x + y * y)) < UPRIGHT_COSINE_MIN:
+    if np.quantile(1 - 2 * (x * x + y * y), TILTED_SHARE) < UPRIGHT_COSINE_MIN:  # about another axis it comes and goes
         findings.add("tilted", 1, f"{poses.stream.table.name}: the vehicle is not upright; is z not up?")
     yaw = np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
     return poses, np.column_stack([poses.values[:, :2], yaw])

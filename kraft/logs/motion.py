@@ -230,7 +230,7 @@ def check_units(commands: tuple[Samples, ...], poses: Samples, xyyaw: Array, fin
         SwappedError: if x and y are swapped.
         InputError: if another unit is wrong.
     """
-    problems = _clock(poses)
+    problems = _clock(poses, commands)
     for samples in commands:
         for channel, values in zip(samples.stream.channels, samples.values.T, strict=True):
             problems += _pulses(samples, channel, values)
@@ -253,7 +253,7 @@ def in_mapping(channel: Channel, key: str, unit: str) -> str:
     return f"write {key}: {{column: {channel.column!r}, unit: {unit}}} into a mapping file, or name the column so"
 
 
-def _clock(poses: Samples) -> list[Diagnostic]:
+def _clock(poses: Samples, commands: tuple[Samples, ...]) -> list[Diagnostic]:
     time = poses.stream.time
     if len(poses) < 3:
         return []
@@ -261,7 +261,10 @@ def _clock(poses: Samples) -> list[Diagnostic]:
     if POSE_INTERVAL_MAX > step > 1e-5:
         return []
     problem = f"{time.column!r} in {time.unit} means a pose every {step:.4g} s"
-    return [poses.diagnostic(problem, f"expected seconds; {in_mapping(time, 'poses.time', 'ms')} ({time.column}_ms)")]
+    shared = any(s.stream.table is poses.stream.table and s.stream.time.column == time.column for s in commands)
+    both = ", and the same for commands.time" if shared else ""
+    expected = f"expected seconds; {in_mapping(time, 'poses.time', 'ms')} ({time.column}_ms){both}"
+    return [poses.diagnostic(problem, expected)]
 
 
 def _pulses(samples: Samples, channel: Channel, values: Array) -> list[Diagnostic]:

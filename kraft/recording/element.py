@@ -5,16 +5,28 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.recording.manoeuvres import COASTING
 from ompl_ext.arrays import Floats
+from ompl_ext.vehicle import Vehicle
 
 SAMPLE: Final = 0.1
 """Time between two commands of a ramp or a sine, s."""
+
+
+class Driven(Protocol):
+    """What gives a drive its controls, such as a `VehicleModel`."""
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle that is driven."""
+
+    def drive_control(self, drive: float, turn: float) -> Floats:
+        """Control (nu,) that drives and turns with shares of the largest ones."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +87,7 @@ def _brakes(model: VehicleModel) -> bool:
     return speeds[0] < speeds[1] - 0.02 * model.vehicle.top_speed
 
 
-def in_words(elements: Sequence[Element], model: VehicleModel) -> tuple[str, ...]:
+def in_words(elements: Sequence[Element], model: Driven) -> tuple[str, ...]:
     """What to do, one phrase for each element, from standstill to coasting."""
     names = tuple(model.vehicle.controls)
     joined: list[Element] = []
@@ -89,18 +101,23 @@ def in_words(elements: Sequence[Element], model: VehicleModel) -> tuple[str, ...
     return (*found, f"{_constant(names, model.drive_control(0.0, turn))} for {COASTING:g} s")
 
 
-def _phrase(element: Element, names: Sequence[str], model: VehicleModel) -> str:
+def _phrase(element: Element, names: Sequence[str], model: Driven) -> str:
     first, last = model.drive_control(*element.first), model.drive_control(*element.last)
     if element.first == element.last:
         return f"{_constant(names, first)} for {element.duration:g} s"
     changing = [k for k in range(len(names)) if abs(last[k] - first[k]) > 1e-9]
     swing = f" as a sine with a period of {element.period:g} s" if element.period else " evenly"
-    moved = ", ".join(f"{names[k]} {'between' if element.period else 'from'} {first[k]:.2g} "
-                      f"{'and' if element.period else 'to'} {last[k]:.2g}" for k in changing)  # fmt: skip
+    moved = ", ".join(f"{names[k]} {'between' if element.period else 'from'} {_told(first[k])} "
+                      f"{'and' if element.period else 'to'} {_told(last[k])}" for k in changing)  # fmt: skip
     held = [k for k in range(len(names)) if k not in changing]
-    constant = f", {', '.join(f'{names[k]} {first[k]:.2g}' for k in held)}" if held else ""
+    constant = f", {', '.join(f'{names[k]} {_told(first[k])}' for k in held)}" if held else ""
     return f"{moved}{swing}{constant}, for {element.duration:g} s"
 
 
 def _constant(names: Sequence[str], control: Floats) -> str:
-    return ", ".join(f"{name} {value + 0.0:.2g}" for name, value in zip(names, control.tolist(), strict=True))
+    return ", ".join(f"{name} {_told(value)}" for name, value in zip(names, control.tolist(), strict=True))
+
+
+def _told(value: float) -> str:
+    """A control with two digits, or those before the point of a large number."""
+    return f"{value + 0.0:.2g}" if abs(value) < 100.0 else f"{value:.0f}"

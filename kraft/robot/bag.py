@@ -196,9 +196,12 @@ def _recording(task: Task, vehicle: Vehicle, recording: Recording) -> Iterator[T
 
 def _write(path: Path, messages: Iterable[Timed]) -> None:
     """Write messages as a bag, in the order of their times; those of the same time stay in their order."""
-    with BagWriter(path) as bag:
-        for time, topic, message in sorted(messages, key=lambda timed: timed[0]):
-            bag.write(topic, time, message)
+    try:
+        with BagWriter(path) as bag:
+            for time, topic, message in sorted(messages, key=lambda timed: timed[0]):
+                bag.write(topic, time, message)
+    except OSError as error:
+        raise unwritable(path, error) from error
 
 
 def scene(task: Task, time: int = EPOCH, frame: str = FRAMES.map) -> Iterator[Timed]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -39,6 +40,10 @@ SIMILAR_ERROR_RATIO: Final = 1.01
 """Ratio of position errors up to which they count as equal, as when the initial values come from the same logs."""
 WORSE_ERROR_RATIO: Final = 1.2
 """Ratio of position errors from which a vehicle file that exists is better; less can be chance."""
+USELESS_RATIO = 1.2
+"""Position error over that of constant motion from which on a model is refused; 1 if a parameter is at its bound."""
+USELESS_YAW_RATIO, USELESS_YAW = 1.5, 0.1
+"""The same for the yaw, of which errors below `USELESS_YAW` rad are noise."""
 EXCESSIVE_ERROR_RATIO: Final = 1.5
 """Ratio of position errors from which the identified values are rejected.  Values from five logs of the bundled car,
 beside initial values from forty, are up to 1.2 times worse by chance.  A test of the scatter between windows would also
@@ -195,6 +200,25 @@ def prediction_warnings(pair: PredictionPair) -> tuple[str, ...]:
     )
 
 
+def useless_objections(identification: Identification, pair: PredictionPair) -> list[str]:
+    """The objection that constant speed and turning rate predict better over the longest time, if so."""
+    now, constant = pair.errors, pair.constant_errors
+    times = now.position.keys() & constant.position.keys()
+    if not times:
+        return []
+    after = max(times)
+    allowed = 1.0 if any(p.at_bound for p in identification.parameters.values()) else USELESS_RATIO
+    lost = now.position[after] >= allowed * constant.position[after]
+    turned = now.yaw[after] >= max(USELESS_YAW_RATIO * constant.yaw[after], USELESS_YAW)
+    if not lost and not turned:
+        return []
+    errors = [f"{100 * e.position[after]:.3g} cm, {math.degrees(e.yaw[after]):.3g} deg" for e in (now, constant)]
+    return [
+        f"constant speed and turning rate predict better than the model (after {after:g} s {errors[1]}, the model "
+        f"{errors[0]}): are the sides, the axes or the marker turned or mirrored?"
+    ]
+
+
 def prediction_objections(pair: PredictionPair) -> tuple[str, ...]:
     """The objection that the initial values predict far better, as part of a sentence, if so."""
     if _ratio(pair) < EXCESSIVE_ERROR_RATIO:
@@ -246,6 +270,7 @@ def objections(identification: Identification, evaluation: PredictionEvaluation)
     if not identification.names:
         found.append("every parameter of the model is frozen, and the data show no auxiliary parameter")
     if identification.trials:  # terms were chosen by what they predict, single parameters need not be known
+        found += useless_objections(identification, evaluation.held_out or evaluation.fitted)
         return (*found, *(() if evaluation.held_out is None else prediction_objections(evaluation.held_out)))
     unidentified = [name for name in identification.unidentified if name not in identification.auxiliary]
     if unidentified:

@@ -179,6 +179,16 @@ def for_commands(base: BaseVehicle, logs: Sequence[Log]) -> BaseVehicle:
     return replace(base, definition=changed, vehicle=configured(changed))
 
 
+def for_sides(base: BaseVehicle, logs: Sequence[Log]) -> BaseVehicle:
+    """The robot with two driven sides with the limits of the commands in the logs, the same for both sides."""
+    config = base.definition
+    assert isinstance(config, VehicleConfig)  # a vehicle file with terms
+    given = np.concatenate([part.commands.ravel() for log in logs for part in log.parts])
+    limits = min(float(given.min()), 0.0), max(float(given.max()), 0.0)
+    changed = config.with_controls(dict.fromkeys(base.vehicle.controls, limits))
+    return replace(base, definition=changed, vehicle=configured(changed))
+
+
 def with_recorded_commands(
     base: BaseVehicle, identification: Identification, scales: Mapping[str, float]
 ) -> tuple[BaseVehicle, Identification]:
@@ -209,13 +219,14 @@ faster than it in a turn."""
 
 
 def with_speed(base: BaseVehicle, identification: Identification, logs: Sequence[Log]) -> BaseVehicle:
-    """The car with a top speed: that which full throttle leads to, or the highest in the logs if it is higher."""
+    """The vehicle with a top speed: that of its full commands, or the highest in the logs if it is higher."""
     model, values = base.vehicle, identification.values
     car = model.with_parameters({name: values[name] for name in model.parameters})
     steps, ways = round(SPEED_SETTLING / SPEED_STEP), len(STEERING_SHARES)
     controls = np.zeros((steps, ways, len(model.controls)))
-    for name, shares in (("throttle", np.ones(ways)), ("steering", np.array(STEERING_SHARES))):
-        controls[:, :, list(model.controls).index(name)] = shares * model.controls[name][1]
+    for k, (name, (low, high)) in enumerate(model.controls.items()):  # two sides may count backwards
+        full = high if high >= -low or name == "throttle" else low
+        controls[:, :, k] = high * np.array(STEERING_SHARES) if name == "steering" else full
     states = DiscreteModel(car).simulate(
         np.zeros((ways, len(model.state))), controls, np.tile(car.parameter_array, (ways, 1)),
         np.full(ways, SPEED_STEP),

@@ -294,7 +294,7 @@ def _steering(solution: SolvedProblem) -> Iterator[str]:
     at = solution.problem.chains.state
     rates, yaw = solution.data.rates[at], solution.data.poses[at, 2]
     speed = rates[:, 0] * np.cos(yaw) + rates[:, 1] * np.sin(yaw)
-    moving = speed > MOVING_SPEED_SHARE * np.quantile(speed, 0.95)
+    moving = np.abs(speed) > MOVING_SPEED_SHARE * np.quantile(np.abs(speed), 0.95)
     enough = moving.sum() >= 10
     correlation = _best_correlation(steering, rates[:, 2] / np.where(moving, speed, 1.0), moving) if enough else 0.0
     if not enough or np.std(steering[moving]) < STEERING_STD_MIN:

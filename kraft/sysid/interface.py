@@ -12,6 +12,9 @@ from typing import Final, Literal
 from ompl_ext.arrays import Floats
 
 AuxiliarySelection = Literal["auto", "plan", "none"] | tuple[str, ...]
+SELECTIONS: Final = ("auto", "plan", "none")
+GRAPHS: Final[tuple[Literal["fast", "paper"], ...]] = ("fast", "paper")
+"""Forms of the factor graph."""
 
 
 @dataclass(frozen=True)

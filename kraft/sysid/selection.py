@@ -18,7 +18,7 @@ import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.log import Log
-from kraft.sysid.interface import CORRELATION_REMOVED, Settings
+from kraft.sysid.interface import CORRELATION_REMOVED, GRAPHS, SELECTIONS, Settings
 from kraft.sysid.optimiser import Optimum, Uncertainty, held_at_bounds, inverse
 from kraft.sysid.parameters import (
     DELAY_MIN,
@@ -201,6 +201,13 @@ def check_settings(vehicle: VehicleConfig | Vehicle, settings: Settings) -> None
     """
     model = vehicle_of(vehicle)
     problems = [*_unknown(model, settings), *_not_positive(settings), *_excluded_auxiliary(model, settings)]
+    if settings.graph not in GRAPHS:
+        problems.append(
+            Diagnostic("graph", f"is {settings.graph!r}", suggestion(settings.graph, GRAPHS), argument=True)
+        )
+    if isinstance(settings.auxiliary, str) and settings.auxiliary not in SELECTIONS:
+        expected = f"{suggestion(settings.auxiliary, SELECTIONS)}, or a tuple of names"
+        problems.append(Diagnostic("auxiliary", f"is {settings.auxiliary!r}", expected, argument=True))
     every = parameter_specs(vehicle, tuple(auxiliary_parameters(model)))
     problems += [found for spec in every if (found := out_of_bounds(spec, settings.values))]
     if problems:

@@ -110,6 +110,9 @@ def sysid(
         _print(terminal, result)
     for warning in result.identification.warnings:
         terminal.problem(f"warning: {warning}")
+    if result.next_error is not None:
+        terminal.json_schema = ""  # its object is printed
+        raise result.next_error
     if not result.objections:
         return ExitStatus.DONE
     unwritten = f"; {out} was not written" if out is not None else ""

@@ -11,17 +11,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from kraft.driving.vehicle_model import VehicleModel, model_of
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
 from kraft.files import check_writable
 from kraft.logs.log import Log, Part
 from kraft.planning.compilation import ensure_compiled
 from kraft.sysid.base_vehicle import COMMANDS_OF, BaseVehicle, for_commands, load_base_vehicle
+from kraft.sysid.command_units import CommandUnit, with_units
 from kraft.sysid.interface import Identification, Noise, Settings
 from kraft.sysid.terms import has_terms
 from kraft.text import counted
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import configured
-from ompl_ext.arrays import Matrix
+from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -89,9 +91,12 @@ def next_drives(
     identification: Identification,
     settings: Settings,
     logs: Sequence[Log],
+    units: Mapping[str, CommandUnit],
     report: Callable[[str], None],
 ) -> NextDrives:
     """Plan the drives that follow an identification, and write their commands.
+
+    `logs` are as they were recorded, in the `units` in which the drives are told and written too.
 
     Raises:
         InputError: if no drive fits into the area, or the commands cannot be written.
@@ -102,6 +107,7 @@ def next_drives(
     from kraft.recording.manoeuvres import write_commands
     from kraft.sysid.information import known_after
 
+    logs = with_units(logs, units)
     parts = [part for log in logs for part in log.parts]
     sides = None if request.area is None else _sides(request.area)
     area = extent([part.poses for part in parts]) if sides is None else Area(*sides)
@@ -112,7 +118,7 @@ def next_drives(
     ensure_compiled(vehicle, report, steps=True)
     drives = []
     for drive in planned_drives(known, request.count, area.room):
-        drives.append(drive)
+        drives.append(_as_recorded(drive, model_of(vehicle), units))
         report(f"planned drive {len(drives)} of {request.count}")
     if not drives:
         origin = "of the logs " if sides is None else ""
@@ -124,6 +130,37 @@ def next_drives(
             files.append(request.commands / f"drive_{k}" / "commands.csv")
             write_commands(files[-1], tuple(vehicle.controls), drive.commands)
     return NextDrives(tuple(drives), area, tuple(files))
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    """A model whose controls are told as they were recorded."""
+
+    model: VehicleModel
+    units: Mapping[str, CommandUnit]
+
+    @property
+    def vehicle(self) -> Vehicle:
+        return self.model.vehicle
+
+    def drive_control(self, drive: float, turn: float) -> Floats:
+        return self.recorded(self.model.drive_control(drive, turn))
+
+    def recorded(self, controls: Floats) -> Floats:
+        units = [self.units.get(name, CommandUnit()) for name in self.vehicle.controls]
+        back: Floats = controls / [unit.scale for unit in units] + [unit.neutral for unit in units]
+        return back
+
+
+def _as_recorded(drive: PlannedDrive, model: VehicleModel, units: Mapping[str, CommandUnit]) -> PlannedDrive:
+    """The drive with words and commands in the units of the logs."""
+    from kraft.recording.element import in_words
+
+    if all(unit.as_is for unit in units.values()):
+        return drive
+    told = _Recorded(model, units)
+    commands = replace(drive.commands, controls=told.recorded(drive.commands.controls))
+    return replace(drive, words=in_words(drive.elements, told), commands=commands)
 
 
 def _commands(part: Part) -> Manoeuvre:
@@ -140,8 +177,13 @@ def _within_logs(definition: VehicleConfig | Vehicle, logs: Sequence[Log]) -> Ve
     controls = definition.controls if isinstance(definition, Vehicle) else configured(definition).controls
     for name, (low, high) in controls.items():
         commands = np.concatenate([part.commands[:, log.controls.index(name)] for log in logs for part in log.parts])
-        if commands.min() < low or commands.max() > high or has_terms(definition):
-            least, most = min(float(commands.min()), 0.0), max(float(commands.max()), 0.0)
+        least, most = min(float(commands.min()), 0.0), max(float(commands.max()), 0.0)
+        if not has_terms(definition):
+            limits[name] = (min(low, least), max(high, most))
+        else:
+            if name == "throttle" and most <= 0.0:
+                expected = "expected logs of a vehicle that drives forward too"
+                raise InputError.of_argument("next", "the logs never drive forward", expected)
             reach = max(-least, most)
             limits[name] = (-reach, reach) if name == "steering" else (least, most)
     return _with_controls(definition, limits)

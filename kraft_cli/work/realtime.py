@@ -14,12 +14,16 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.config.overrides import parse_overrides
-from kraft.errors import Code, Defect, InputError
+from kraft.driving.method import load_method
+from kraft.errors import Code, Defect, InputError, Problems
 from kraft.robot.priority import process_context
-from kraft.robot.robot_file import Loopback, load_robot
+from kraft.robot.robot_file import JOINT_STATE, CommandOutput, Loopback, Robot, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
+from kraft.scenario import load_scenario
 from kraft.text import finite, metres
+from kraft.trial.planning_vehicle import planning_vehicle
 from kraft.trial.result import Outcome, outcome_text
+from kraft.vehicles import is_car
 from kraft_cli.work.drive import Driven, DriveRequest, drive_json, drive_robot, drive_table
 from kraft_cli.work.run import RunRequest
 from kraft_cli.work.verbose import discard_message
@@ -66,7 +70,7 @@ def run_in_real_time(
         raise InputError.of_argument("plot", "draws a trial", "expected --out and --bag with --realtime", Code.CONFLICT)
     with tempfile.TemporaryDirectory(prefix="kraft-") as folder:
         socket = Loopback(kind="loopback", socket=str(Path(folder) / "socket"))
-        robot = load_robot(ROBOT).model_copy(update={"transport": socket, "clock": None})
+        robot = _for_vehicle(load_robot(ROBOT).model_copy(update={"transport": socket, "clock": None}), request)
         simulated = WorldRequest(
             request.scenario, robot, request.vehicle, request.seed, request.settings, 1.0, outputs.video, outputs.view
         )
@@ -77,6 +81,26 @@ def run_in_real_time(
         with _world(simulated) as ended:
             driven = drive_robot(asked, report, problem, detail)
             return RealtimeRun(request, driven, ended())
+
+
+def _for_vehicle(robot: Robot, request: RunRequest) -> Robot:
+    """The robot with commands for the vehicle that drives: of a car, or joints with the controls of another one.
+
+    Raises:
+        InputError: with the problems of the scenario, the method or the vehicle.
+    """
+    problems = Problems()
+    settings = problems.of(lambda: parse_overrides(request.settings, "set"))
+    scenario = problems.of(lambda: load_scenario(request.scenario, settings or ()))
+    method = problems.of(lambda: load_method(request.method))
+    problems.check()
+    assert scenario is not None, "every problem was raised"
+    assert method is not None, "every problem was raised"
+    if is_car(planning_vehicle(scenario, method, request.vehicle)):
+        return robot
+    own = robot.command
+    joints = CommandOutput(topic=own.topic, type=JOINT_STATE, frame=own.frame, timeout=own.timeout)
+    return robot.model_copy(update={"command": joints})
 
 
 @contextmanager

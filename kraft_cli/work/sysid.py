@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 from kraft.errors import Code, Diagnostic, InputError, NegativeResult, Problems
 from kraft.files import check_all
@@ -21,13 +21,20 @@ from kraft.sysid.acceptance import (
     objections,
     replacement_objections,
 )
-from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle, with_recorded, with_recorded_commands
+from kraft.sysid.base_vehicle import (
+    BaseVehicle,
+    for_sides,
+    load_base_vehicle,
+    with_recorded,
+    with_recorded_commands,
+    with_speed,
+)
 from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
 from kraft.sysid.data import LogSplit, check_holdout, split_logs
 from kraft.sysid.factor_graph import ensure_compiled
 from kraft.sysid.identify import identify
-from kraft.sysid.interface import AuxiliarySelection, Identification, Noise, Settings
+from kraft.sysid.interface import GRAPHS, AuxiliarySelection, Identification, Noise, Settings
 from kraft.sysid.model_choice import identify_car, models_of_cars
 from kraft.sysid.parameters import is_unknown_to_planning
 from kraft.sysid.screening import check_consistency
@@ -40,7 +47,7 @@ from kraft.vehicles import is_car
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.work.next_drives import NextDrives, NextRequest, check_next, next_drives
 from kraft_cli.work.parameters import parse_parameters
-from kraft_cli.work.sysid_logs import MessageSink, has_two_sides, read_sysid_logs, report_problems
+from kraft_cli.work.sysid_logs import SIDES, MessageSink, has_two_sides, read_sysid_logs, report_problems
 from kraft_cli.work.verbose import discard_message
 
 AUTO: Final = "auto"
@@ -48,7 +55,6 @@ AUTO: Final = "auto"
 TWO_SIDES: Final = "differential"
 """Model with terms of a robot with two driven sides."""
 HORIZON_MIN, HORIZON_MAX = 0.5, 10.0
-GRAPHS: Final[tuple[Literal["fast", "paper"], ...]] = ("fast", "paper")
 PROGRESS_INTERVAL: Final = 2.0
 """Least time between two progress messages, and before the first one, s."""
 OPTIONS: Final = {"auxiliary": "extras", "frozen": "freeze", "values": "param"}
@@ -123,6 +129,7 @@ class SysidResult:
     units: Mapping[str, CommandUnit]
     left_out: tuple[Stretch, ...]
     next_drives: NextDrives | None = None
+    next_error: InputError | NegativeResult | None = None
 
 
 def run_sysid(
@@ -166,6 +173,9 @@ def run_sysid(
             base, identification, split, units = _identify_car(split, units, settings, info)
         else:
             identification = identify(base.definition, split.fitted, settings, ProgressReporter(info))
+            if has_terms(base.definition) and set(controls) == set(SIDES):
+                used = (*split.fitted, *split.held_out)
+                base = with_speed(for_sides(base, used), identification, used)
         seconds = time.perf_counter() - began
         evaluation = evaluate_predictions(base.definition, split, identification, settings)
     except InputError as error:  # a problem of the logs: everything else was checked
@@ -195,7 +205,10 @@ def run_sysid(
     if request.next is None:
         return result
     wanted = NextRequest(request.next, request.area, request.commands)
-    planned = next_drives(wanted, base, identification, settings, logs.logs, info)
+    try:
+        planned = next_drives(wanted, base, identification, settings, logs.logs, units, info)
+    except (InputError, NegativeResult) as error:  # the identification is there
+        return replace(result, next_error=error)
     return replace(result, next_drives=planned)
 
 

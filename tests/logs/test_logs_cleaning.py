@@ -396,6 +396,12 @@ def test_a_vehicle_that_lies_on_its_side_is_said(tmp_path: Path) -> None:
     assert finding(log, "tilted").count == 1
 
 
+def test_a_vehicle_whose_axis_up_is_y_is_said_though_its_heading_is_mostly_ahead(tmp_path: Path) -> None:
+    yaw = np.where(0.8 * len(ROW) > ROW, 0.1, 2.0)
+    log = oriented(tmp_path, 0.0, np.sin(yaw / 2), 0.0 * yaw, np.cos(yaw / 2))
+    assert finding(log, "tilted").count == 1
+
+
 def test_a_yaw_that_turns_the_other_way_is_said(tmp_path: Path) -> None:
     assert "it follows when its sign is changed (scale: -1" in finding(read(tmp_path, yaw=-WIDE["yaw"]), "heading").text
 

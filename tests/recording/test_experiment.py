@@ -28,9 +28,11 @@ from kraft.recording.manoeuvres import (
     write_commands,
 )
 from kraft.sysid import Noise, Settings, identify
+from kraft.sysid.command_units import CommandUnit
 from kraft.sysid.information import Drives, Knowledge, known_after, known_before
 from kraft.vehicles.config import load_vehicle_config
 from kraft.vehicles.load import configured, load_vehicle
+from kraft_cli.work.next_drives import _as_recorded
 
 MODEL = load_vehicle_config("mushr-lag")
 NOISE = Noise(0.005, 0.02)
@@ -227,6 +229,8 @@ def test_a_file_of_commands_gives_back_the_drive(planned: list[PlannedDrive], tm
     assert (read.name, read.end) == ("drive_1", pytest.approx(planned[0].commands.end))
     for time in np.arange(0.0, read.end, 0.05):
         assert read.control_at(time).tolist() == planned[0].commands.control_at(time).tolist()
+    rounded = {name: (low + 1e-6, high - 1e-6) for name, (low, high) in LIMITS.items()}
+    assert read_commands(file, rounded).controls.tolist() == read.controls.tolist()  # of a file with fewer digits
 
 
 @pytest.mark.parametrize(
@@ -251,3 +255,13 @@ def test_a_file_of_commands_that_does_not_exist_is_refused(tmp_path: Path) -> No
     with pytest.raises(InputError) as caught:
         read_commands(tmp_path / "none.csv", LIMITS)
     assert caught.value.diagnostics[0].code == Code.NOT_FOUND
+
+
+def test_drives_are_told_and_written_in_the_units_of_the_logs(planned: list[PlannedDrive]) -> None:
+    model = model_of(load_vehicle("mushr-lag"))
+    units = {"throttle": CommandUnit(1500.0, 0.0025), "steering": CommandUnit()}
+    told = _as_recorded(planned[0], model, units)
+    assert _as_recorded(planned[0], model, {name: CommandUnit() for name in units}) is planned[0]
+    np.testing.assert_allclose(told.commands.controls[:, 0], 1500.0 + planned[0].commands.controls[:, 0] / 0.0025)
+    np.testing.assert_array_equal(told.commands.controls[:, 1], planned[0].commands.controls[:, 1])
+    assert told.words[-1].startswith("throttle 1500, steering ")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,9 @@ from kraft.errors import InputError
 from kraft.logs.log import Log, Part
 from kraft.logs.reader import read_logs
 from kraft.sysid import Settings, identify, prediction_errors
+from kraft.sysid.acceptance import useless_objections
 from kraft.sysid.actuators import ActuatorModel
-from kraft.sysid.base_vehicle import for_commands, load_base_vehicle, with_recorded_commands
+from kraft.sysid.base_vehicle import for_commands, for_sides, load_base_vehicle, with_recorded_commands, with_speed
 from kraft.sysid.chains import whole_segment
 from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.dynamics import DiscreteModel
@@ -411,3 +413,41 @@ def test_thinning_keeps_about_one_pose_per_step() -> None:
     assert np.diff(thinned(part, 0.05).pose_times) == pytest.approx(0.05)
     slow = replace(part, pose_times=4.0 * times)
     assert thinned(slow, 0.05) is slow
+
+
+def test_a_robot_with_two_sides_is_planned_with_as_its_logs_command_it() -> None:
+    """Without limits of its own it would be planned at up to 2 m/s, whatever it can do."""
+    truth = {"track": 0.3, "gain": 0.01, "imbalance": 0.0, "slip": 0.0, "slide": 0.0, "effort": 0.0, "effort_turn": 0.0}
+    logs = [
+        drive(load_vehicle("differential", parameters=truth), seed, 8.0, low=(-10, -10), high=22) for seed in (0, 1)
+    ]
+    base = for_sides(load_base_vehicle("differential"), logs)
+    given = np.concatenate([part.commands.ravel() for log in logs for part in log.parts])
+    limits = (pytest.approx(given.min()), pytest.approx(given.max()))
+    assert dict(base.vehicle.controls) == {"left": limits, "right": limits}
+    changed = with_speed(base, SimpleNamespace(values={**base.vehicle.parameters, **truth}), logs)  # type: ignore[arg-type]
+    assert changed.vehicle.top_speed == pytest.approx(0.01 * given.max(), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("position", "yaw", "at_bound", "refused"),
+    [(0.9, 0.5, False, False), (1.1, 0.5, False, False), (1.1, 0.5, True, True), (1.3, 0.5, False, True), (0.5, 2.0, False, True)],
+)  # fmt: skip
+def test_a_model_that_constant_motion_beats_is_not_written(
+    position: float, yaw: float, at_bound: bool, refused: bool
+) -> None:
+    def errors(factor: float, turn: float) -> SimpleNamespace:
+        return SimpleNamespace(position={1.0: 0.01, 3.0: factor * 0.4}, yaw={1.0: 0.01, 3.0: turn * 0.3})
+
+    pair = SimpleNamespace(errors=errors(position, yaw), constant_errors=errors(1.0, 1.0))
+    found = SimpleNamespace(parameters={"L": SimpleNamespace(at_bound=at_bound)})
+    said = useless_objections(found, pair)  # type: ignore[arg-type]
+    assert bool(said) == refused
+    assert all("constant speed and turning rate predict better" in each for each in said)
+
+
+@pytest.mark.parametrize("wrong", [{"graph": "fat"}, {"auxiliary": "automatic"}])
+def test_settings_that_do_not_exist_are_refused(wrong: dict[str, str]) -> None:
+    with pytest.raises(InputError) as caught:
+        identify(car_file(), [drive(car(), 0)], Settings(**wrong))  # type: ignore[arg-type]
+    assert [d.file for d in caught.value.diagnostics] == list(wrong)
