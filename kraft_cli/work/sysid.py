@@ -42,7 +42,7 @@ from kraft.sysid.selection import check_free_parameters, check_settings, exclude
 from kraft.sysid.terms import check_controls, has_terms
 from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
 from kraft.sysid.vehicle_file import check_vehicle_target, identification_record, write_vehicle
-from kraft.text import suggestion
+from kraft.text import counted, suggestion
 from kraft.vehicles import is_car
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.work.next_drives import NextDrives, NextRequest, check_next, next_drives
@@ -182,7 +182,7 @@ def run_sysid(
         _draw_logs(request, base, split, error)
         report_problems(error, warn)
         raise NegativeResult("the parameters cannot be identified from these logs", error.diagnostics) from None
-    unknown = _unknown_to_planning(request, identification)
+    unknown = (*_untested(split, left_out), *_unknown_to_planning(request, identification))
     excluded = () if has_terms(base.definition) else _excluded_note(base, settings)
     base, taken_over = with_recorded(base, logs.logs) if request.out is not None else (base, "")
     identification = replace(
@@ -403,6 +403,18 @@ def _excluded_note(base: BaseVehicle, settings: Settings) -> tuple[str, ...]:
     """The note that auxiliary parameters of the motion were not considered, if there are such."""
     names = excluded_for_planning(base.vehicle, settings)
     return (f"not considered, because planning does not model them: {', '.join(names)}",) if names else ()
+
+
+def _untested(split: LogSplit, left_out: Sequence[Stretch]) -> tuple[str, ...]:
+    """The warning that the held-out errors are not of all held-out logs, if stretches of them are left out."""
+    held_out = {log.name for log in split.held_out}
+    count = sum(stretch.log in held_out for stretch in left_out)
+    if not count:
+        return ()
+    return (
+        f"{counted(count, 'part')} of the held-out logs {'is' if count == 1 else 'are'} left out of the test: if they "
+        "follow large steps of a command, the vehicle reacts more slowly than the models can, and errors are larger",
+    )
 
 
 def _not_planned_with(identification: Identification) -> list[str]:
