@@ -204,7 +204,7 @@ def test_a_share_that_is_not_all_is_not_rounded_to_all() -> None:
 
 
 def suite_of(count: int) -> Path:
-    entries = [{"name": f"world-{k}", "scenario": "turns", "set": {"sensing.noise_scale": k / 6}} for k in range(count)]
+    entries = [{"name": f"world-{k}", "scenario": "turns", "set": {"sensing.noise_scale": k / 8}} for k in range(count)]
     path = Path("many.yaml")
     path.write_text(json.dumps({"name": "many", "entries": entries}))
     return path

@@ -324,7 +324,7 @@ def measures_table(shown: Shown, results: Sequence[Result]) -> Element | None:
         if shown.deviations:
             cells.append(_drawing(result, deviations, cycle, top) if deviations.until else element("td", NO_VALUE))
         rows.append(element("tr", element("th", result.title, scope="row"), *cells))
-    return element("table", element("thead", element("tr", *heading)), element("tbody", *rows), class_="measures")
+    return element("table", element("tr", *heading), *rows, class_="measures")
 
 
 def _headings(shown: Shown) -> Iterator[Element]:

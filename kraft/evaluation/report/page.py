@@ -194,7 +194,7 @@ def _table(results: Results, name: str, mine: Sequence[Result]) -> Element:
     columns = ("mean, s", "p", "contingencies", "clearance, m", "planning, ms")
     heading += [element("th", text, class_="number") for text in columns]
     rows = [_row(results, result, longest) for result in mine]
-    return element("table", element("thead", element("tr", *heading)), element("tbody", *rows))
+    return element("table", element("tr", *heading), *rows)
 
 
 def _picture(results: Results, name: str) -> Element:
@@ -271,7 +271,7 @@ def _unsuccessful(results: Results, name: str) -> Element | None:
     more = len(found) - LISTED
     rest = element("p", f"and {more} more, in trials.jsonl") if more > 0 else None
     title = element("summary", f"The {len(found) if len(found) > 1 else 'one'} that did not succeed")
-    table = element("div", stacked(element("table", element("thead", heading), element("tbody", *rows))), class_="wide")
+    table = element("div", stacked(element("table", heading, *rows)), class_="wide")
     return element("details", title, table, rest, class_="unsuccessful")
 
 
