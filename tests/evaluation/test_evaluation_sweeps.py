@@ -220,7 +220,7 @@ def test_many_entries_are_rows_with_totals_and_closed_sections(monkeypatch: pyte
     links = {str(attributes["href"]) for tag, attributes in tags.found if tag == "a"}
     assert {link for link in links if link.startswith("#world")} == {f"#world-{k}" for k in range(9)}
     assert {f"world-{k}" for k in range(9)} <= {attributes.get("id") for _, attributes in tags.found}
-    assert "world-3 turns, sensing.noise_scale = 0.5" in text
+    assert "world-3 turns, sensing.noise_scale = 0.375" in text
     for method in METHODS:
         mine = [row for row in found.rows if row.method == method]
         hit = sum(row.outcome == "collision" for row in mine)
