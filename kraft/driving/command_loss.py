@@ -2,12 +2,15 @@
 
 Without commands a robot holds the last one for the multiplexer's timeout.  Then it brakes with its wheels as they are.
 No controller tracks anything meanwhile, so the contingency on board does not help: a plan has to leave room for this.
+The search does not know that, so a plan that leaves no room is driven more slowly in its first cycle.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -15,8 +18,8 @@ import numpy as np
 from kraft.driving.messages import PredictedMotion
 from kraft.driving.prediction import is_resting
 from kraft.driving.references import plan_reference
-from kraft.driving.vehicle_model import braking_control
-from ompl_ext.arrays import Floats
+from kraft.driving.vehicle_model import braking_control, model_of
+from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver
 
@@ -24,6 +27,8 @@ MOMENTS: Final = 0.1
 """Time between two moments at which the loss of commands is examined, s."""
 STEP: Final = 0.05
 """Time for which a control of the braking robot is held in the prediction, s."""
+SHARES: Final = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
+"""Shares of the drive with which a plan that leaves no room is tried in turn."""
 
 
 @dataclass(frozen=True)
@@ -65,3 +70,42 @@ class CommandLoss:
         last = min(int(np.searchsorted(reference.times, cycle - 1e-9)), len(reference.controls))
         times, states = reference.times[: last + 1], reference.states[: last + 1]
         return self.slack(PredictedMotion(times, states, 0.0, controls=reference.controls[:last])) >= 0.0
+
+    @cached_property
+    def _driven(self) -> Bools:
+        return model_of(self.dirt.vehicle).driven
+
+    def slower(self, plan: Plan, root: Floats, cycle: float, seed: int) -> Iterator[Plan]:
+        """The plan from `root` (nx,) with less and less drive in its first `cycle` s, where that is free and safe.
+
+        Then it goes on as it was, as far as it is free.  The tree of `dirt` is replaced, with `seed` for its numbers.
+        """
+        dirt = self.dirt
+        for share in SHARES:
+            controls, durations, slowed = _slowed_edges(plan, self._driven, share, cycle, dirt.settings.longest)
+            dirt.start(root, seed)
+            dirt.retain_edges(np.arange(len(durations)) - 1, controls, durations, optimised=True)
+            missing = np.flatnonzero(dirt.retained_nodes < 0)
+            retained = int(missing[0]) if len(missing) else len(durations)
+            if retained >= slowed:
+                yield dirt.plan_to(int(dirt.retained_nodes[retained - 1]))
+
+
+def _slowed_edges(plan: Plan, driven: Bools, share: float, cycle: float, longest: float) -> tuple[Matrix, Floats, int]:
+    """Controls (n, nu) and durations (n,) of a plan with a share of its drive in the first `cycle` s.
+
+    An edge that is slowed takes as much longer as it is slower, so it ends about where it did; it is divided where it
+    would take more than `longest` s.  The number of the edges that are slowed comes last.
+    """
+    controls, durations, time = list[Floats](), list[float](), 0.0
+    for control, duration in zip(plan.controls, plan.durations.tolist(), strict=True):
+        slow, left = min(duration / share, max(0.0, cycle - time)), duration
+        if slow > 1e-9:
+            parts = math.ceil(slow / longest - 1e-9)
+            controls += parts * [np.where(driven, share * control, control)]
+            durations += parts * [slow / parts]
+            time, slowed, left = time + slow, len(durations), duration - share * slow
+        if left > 1e-9:
+            controls.append(control)
+            durations.append(left)
+    return np.array(controls), np.array(durations), slowed

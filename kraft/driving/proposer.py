@@ -397,13 +397,25 @@ class Proposer:
     def _with_room_for_loss(self, dirt: DirtSolver, plan: Plan, loss: CommandLoss) -> Plan:
         """The plan, or the next best one of the tree on which the vehicle stops in time if commands are lost.
 
-        If there is none, whether the plan may be executed is decided when its cycle begins.
+        If there is none, the plan is driven more slowly when its cycle begins, see `slower`.
         """
         cycle = self._settings.cycle
         if loss.keeps(plan, cycle):
             return plan
         others = (dirt.plan_to(int(node)) for node in dirt.goal_nodes()[1 : LOSS_CANDIDATES + 1])
         return next((each for each in others if loss.keeps(each, cycle)), plan)
+
+    def slower(self, number: int, plan: Plan, root: Floats) -> Iterator[Plan]:
+        """The plan of cycle `number` from `root` (nx,) with less and less drive, for a vehicle that may lose commands.
+
+        The last one that was taken is the plan whose rest the next proposal retains.
+        """
+        if self.loss is None:
+            return
+        for each in self.loss.slower(plan, root, self._settings.cycle, self._seed * 100_003 + number):
+            self._verify(number, self.dirt, each)
+            self._grown = self._grown_of(self.dirt, each)
+            yield each
 
     def _verify(self, number: int, dirt: DirtSolver, plan: Plan) -> None:
         """Verify with FCL the part of the plan that may be executed before the next plan is committed.

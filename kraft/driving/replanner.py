@@ -18,7 +18,7 @@ import numpy as np
 from kraft.driving.blockage import Blockage
 from kraft.driving.bound import BoundCalibration, DeviationBound
 from kraft.driving.contingencies import ContingencyRanking, TrackedContingency, emergency_reference
-from kraft.driving.control import Controller
+from kraft.driving.control import Controller, set_map
 from kraft.driving.messages import (  # fmt: skip
     Commitment,
     ContingencyOrigin,
@@ -48,6 +48,7 @@ ROOM = 0.02  # clearance that the place of a vehicle at rest is taken to have, s
 NEARBY = 0.06  # distance from the estimated place within which such a place is looked for: the error of an estimate (m)
 FARTHEST = 0.3  # distance within which a free place is looked for if the estimated one is in an obstacle (m)
 RING, PLACES = 0.02, 24  # distance between two rings of such places (m), and their number in a ring
+NO_ROOM = "the plan leaves no room for a stop without commands"
 NOISE = 0.1  # speed that the estimate of a standing vehicle may have (m/s)
 
 
@@ -166,6 +167,7 @@ class Replanner:
         self._solvers, self.dirt = solvers, solvers.checking
         self._proposer = self._propose_with(solvers)
         self._predict = replace(self._predict, dirt=self.dirt)
+        set_map(self._predict.controller, self.dirt)
         if self._ranking is not None:
             assert self._model is not None, "a ranking has a model"
             self._ranking = ContingencyRanking(self.dirt, self._predict, self._model)
@@ -303,6 +305,18 @@ class Replanner:
             old = math.isfinite(estimate.age)
             reason = f"the newest observation is {estimate.age:.2f} s old" if old else "no observation has arrived"
             return self._choose_contingency(root, cycle_start, current, reason)
+        decision = self._checked(plan, root, cycle_start)
+        if decision == NO_ROOM:
+            slower = (
+                self._checked(each, root, cycle_start) for each in self._proposer.slower(self._number, plan, root)
+            )
+            decision = next((each for each in slower if isinstance(each, Decision)), decision)
+        if isinstance(decision, Decision):
+            return decision
+        return self._choose_contingency(root, cycle_start, current, f"from the latest estimate {decision}")
+
+    def _checked(self, plan: Plan, root: Floats, cycle_start: float) -> Decision | str:
+        """The decision for a plan, as the controller will track it from `root`, or why it may not be committed."""
         cycle_end = cycle_start + self._settings.cycle
         followed = self._settings.cycle if self._switches else 0.0  # else the law drives on to the end of the plan
         reference = plan_reference(self.dirt.vehicle, plan, cycle_start, followed)
@@ -310,18 +324,14 @@ class Replanner:
         if self._one_shot:
             return Decision(reference, predicted, "", plan)
         if predicted.slack < 0.0:
-            reason = f"from the latest estimate the plan lacks {-predicted.slack:.3f} m of clearance"
-            return self._choose_contingency(root, cycle_start, current, reason)
+            return f"the plan lacks {-predicted.slack:.3f} m of clearance"
         if not self.dirt.safety.enabled:
             return Decision(reference, predicted, "", plan)
         if self._proposer.loss is not None and self._proposer.loss.slack(predicted) < 0.0:
-            reason = "from the latest estimate the plan leaves no room for a stop without commands"
-            return self._choose_contingency(root, cycle_start, current, reason)
+            return NO_ROOM
         stop, stopping = self._contingency_after(reference, predicted.final_state, cycle_end)
         if stop is None:
-            return self._choose_contingency(
-                root, cycle_start, current, "from the latest estimate no manoeuvre stops safely after the plan"
-            )
+            return "no manoeuvre stops safely after the plan"
         return Decision(reference, predicted, "", plan, stop, stopping=stopping)
 
     def _contingency_after(

@@ -161,6 +161,14 @@ class VehicleModel:
         rate[self.v] = speed_drift**2
         return rate
 
+    @cached_property
+    def driven(self) -> Bools:
+        """Controls (nu,) that move a vehicle from standstill; the others only steer one that moves."""
+        standing = np.zeros((1, len(self.vehicle.state)))
+        _, _, by_control = self.linearised(standing, self.rest[None, :], np.array([MAX_STEP]))
+        moves: Bools = (by_control[0][self.velocities] != 0.0).any(axis=0)
+        return moves
+
     def drive_control(self, drive: float, turn: float) -> Floats:
         """Control (nu,) that drives with a share `drive` in [-1, 1], positive forward, and turns left with `turn`.
 
@@ -321,6 +329,12 @@ class CarModel(VehicleModel):
         )  # fmt: skip
         last: Matrix = states[-1]
         return last
+
+    @cached_property
+    def driven(self) -> Bools:
+        """Controls (nu,) that move the car: the throttle, also where one of 0 is in its dead zone."""
+        driven: Bools = np.arange(len(self.low)) == self.throttle
+        return driven
 
     def velocity_drift(self, speed_drift: float) -> Floats:
         """Zeros (nx,): the speed follows the throttle."""

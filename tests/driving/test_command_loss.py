@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from support.replanner import replanner, start, turns
+from support.replanner import drive, replanner, start, turns
 
-from kraft.driving.command_loss import CommandLoss
+from kraft.driving.command_loss import SHARES, CommandLoss
 from kraft.driving.messages import Estimate, PredictedMotion, ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.proposer import Proposer
 from kraft.driving.solvers import Solvers
-from kraft.driving.vehicle_model import braking_control
-from kraft.planning.workspace import poses_of
+from kraft.driving.vehicle_model import braking_control, model_of
+from kraft.planning.workspace import poses_of, start_state
+from kraft.scenario import load_scenario
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.plan import Plan
 
@@ -123,3 +124,59 @@ def test_another_plan_of_the_tree_is_proposed_if_the_best_one_leaves_no_room() -
     assert other.reaches_goal
     assert other.cost >= best.cost
     assert (poses_of(other.trajectory[:1], DIRT.vehicle) == poses_of(best.trajectory[:1], DIRT.vehicle)).all()
+
+
+def slower(solvers: Solvers, plan: Plan) -> list[Plan]:
+    return list(CommandLoss(solvers.checking, 0.2).slower(plan, plan.states[0], PLANNER.cycle, 0))
+
+
+def test_a_slower_plan_has_less_drive_for_a_cycle_and_leads_the_same_way() -> None:
+    plan = Proposer(SOLVERS, PLANNER, 0).propose(0, start(), None).plan
+    assert plan is not None
+    found = slower(SOLVERS, plan)
+    assert len(found) > 4
+    speeds = [float(np.interp(PLANNER.cycle, each.times, each.trajectory[:, 3])) for each in (plan, *found)]
+    assert speeds == sorted(speeds, reverse=True)
+    for share, each in zip(SHARES, found, strict=False):
+        during = np.concatenate([[0.0], each.durations.cumsum()[:-1]]) < PLANNER.cycle - 0.05
+        assert np.allclose(each.controls[during][:, 0], share * plan.controls[: during.sum(), 0])
+        assert np.array_equal(each.controls[during][:, 1], plan.controls[: during.sum(), 1])
+    places = found[1].trajectory[found[1].times <= PLANNER.cycle, :2]
+    away = np.linalg.norm(places[:, None] - plan.trajectory[None, :, :2], axis=2).min(axis=1)
+    assert away.max() < 0.05
+
+
+def test_of_a_vehicle_with_two_driven_sides_both_are_slowed() -> None:
+    vehicle = load_vehicle("jackal")
+    task = load_scenario("posts").task()
+    solvers = Solvers.of(task, vehicle, PLANNER)
+    plan = Proposer(solvers, PLANNER, 0).propose(0, start_state(task, vehicle), None).plan
+    assert plan is not None
+    assert model_of(vehicle).driven.tolist() == [True, True]
+    assert model_of(load_vehicle("f1tenth")).driven.tolist() == [True, False]
+    assert np.allclose(slower(solvers, plan)[0].controls[0], SHARES[0] * plan.controls[0])
+
+
+@dataclass(frozen=True)
+class _Slow(CommandLoss):
+    """Has room at most at `limit` m/s."""
+
+    limit: float
+
+    def slack(self, motion: PredictedMotion) -> float:
+        return self.limit - float(motion.states[:, 3].max())
+
+
+def test_a_plan_that_leaves_no_room_is_driven_more_slowly() -> None:
+    """No cycle is refused, and all keep the limit; without it the vehicle is faster."""
+    settings = {"safety": Clearance(delta=0.01), "on_board": "contingency", "contingencies": "tracked"}
+    fastest = {}
+    for limit in (0.3, 9.0):
+        subject = replanner(model="mushr-drive", tracking=True, command_timeout=0.2, **settings)
+        subject._proposer.loss = _Slow(subject.dirt, 0.2, limit)
+        cycles = drive(subject, 3)
+        assert not any(REASON in cycle.reason for cycle in cycles)
+        assert cycles[1].kind is ReferenceKind.PLAN
+        fastest[limit] = max(float(cycle.predicted.states[:, 3].max()) for cycle in cycles)
+    assert fastest[0.3] <= 0.3
+    assert fastest[9.0] > 0.4

@@ -14,7 +14,7 @@ from support.diagnostics import raised
 from support.replanner import drive, mushr, start, turns
 
 from kraft.driving.bound import DeviationBound
-from kraft.driving.control import make_controller, sampling
+from kraft.driving.control import make_controller, sampling, set_map
 from kraft.driving.control.sampling import DwaController, MppiController, Rollouts, Updates, updated
 from kraft.driving.control_settings import Dwa, Kinodynamic, Mppi, Nmpc
 from kraft.driving.geodesic import geodesic_plan
@@ -28,6 +28,7 @@ from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
 from kraft.planning.workspace import pose_of
 from ompl_ext.arrays import Floats, Floats32Cube
+from ompl_ext.obstacles import Polygon
 
 GEODESIC = PlannerSettings(mode="replanning", type="geodesic")
 SMALL = Mppi(kind="mppi", rollouts=64, steps=20)
@@ -247,6 +248,25 @@ def test_it_drives_around_the_first_obstacle(settings: Mppi | Dwa) -> None:
         state = model().advance(state, controller.command(Estimate(k / 15, state, 0.0), reference), 1 / 15)
         assert solvers().checking.exact.distance(*pose_of(state, mushr())) > 0.0
     assert state[1] > 2.2
+
+
+@pytest.mark.parametrize(
+    "settings", [Mppi(kind="mppi", rollouts=200), Dwa(kind="dwa"), Nmpc(kind="nmpc")], ids=lambda each: each.kind
+)
+def test_a_wall_that_the_planner_gets_is_on_the_map_of_the_controller(settings: Mppi | Dwa | Nmpc) -> None:
+    """The path that is followed leads through it."""
+    wall = Polygon(np.array([[0.0, 1.2], [2.0, 1.2], [2.0, 1.3], [0.0, 1.3]]))
+    blocked = solvers().with_obstacles((wall,), GEODESIC)
+    reference, tops = way(MOVING), []
+    for knows in (False, True):
+        controller, state = make_controller(settings, model(), solvers().checking), MOVING
+        if knows:
+            set_map(controller, blocked.checking)
+        for k in range(30):
+            state = model().advance(state, controller.command(Estimate(k / 15, state, 0.0), reference), 1 / 15)
+        tops.append(float(state[1]))
+    assert tops[0] > 1.2
+    assert tops[1] < 1.1
 
 
 def test_the_window_stops_where_every_arc_collides() -> None:

@@ -32,6 +32,7 @@ __all__ = [
     "make_controller",
     "needs_map",
     "needs_steps",
+    "set_map",
     "settings_for",
 ]
 
@@ -116,6 +117,12 @@ def make_controller(
         case law_of_car:
             assert isinstance(model, CarModel), "laws for cars drive cars"
             return _law(law_of_car, model)
+
+
+def set_map(controller: Controller, dirt: DirtSolver) -> None:
+    """Let a controller that predicts the vehicle in the map use the one of another solver; the others know none."""
+    if isinstance(controller, MppiController | DwaController | NmpcController):
+        controller.set_map(dirt)
 
 
 def compiled_law(controller: Controller, reference: Reference) -> KinodynamicController | None:

@@ -88,6 +88,10 @@ class NmpcController:
         result.law, result._updates = copy.deepcopy(self.law, memo), copy.deepcopy(self._updates, memo)
         return result
 
+    def set_map(self, dirt: DirtSolver) -> None:
+        """Stay clear of the obstacles of another solver from the next command on, with its clearance."""
+        self._dirt = dirt
+
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) at the estimate's time."""
         if reference.kind is ReferenceKind.CONTINGENCY:

@@ -62,6 +62,10 @@ class Rollouts:
         else:
             self._weights[at.ROLLOUT_GOAL] = cost.goal
 
+    def set_map(self, dirt: DirtSolver) -> None:
+        """Roll out in the map of another solver from now on, with its clearance and its goal."""
+        self._dirt = dirt
+
     def costs(
         self,
         estimate: Estimate,
@@ -148,6 +152,10 @@ class MppiController:
         result.law, result._updates = copy.deepcopy(self.law, memo), copy.deepcopy(self._updates, memo)
         return result
 
+    def set_map(self, dirt: DirtSolver) -> None:
+        """Drive in the map of another solver from the next command on, with its clearance and its goal."""
+        self._rollouts.set_map(dirt)
+
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) at the estimate's time."""
         if reference.kind is ReferenceKind.CONTINGENCY:
@@ -219,6 +227,10 @@ class DwaController:
         result = copy.copy(self)
         result.law, result._updates = copy.deepcopy(self.law, memo), copy.deepcopy(self._updates, memo)
         return result
+
+    def set_map(self, dirt: DirtSolver) -> None:
+        """Drive in the map of another solver from the next command on, with its clearance and its goal."""
+        self._rollouts.set_map(dirt)
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) at the estimate's time; if every arc collides, that of the first stopping manoeuvre."""
