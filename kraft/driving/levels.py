@@ -101,6 +101,11 @@ class Levels:
         self._least, self._waited = math.inf, 0  # cost of the cheapest plan (s), and the number of cycles since then
         self._pause = 0  # number of cycles until plans are compared again
 
+    def set_solvers(self, solvers: Solvers) -> None:
+        """Ask other solvers from now on; costs of earlier plans, to another goal or in another map, are no measure."""
+        self._solvers = solvers
+        self._least, self._waited, self._pause = math.inf, 0, 0
+
     @property
     def share(self) -> float:
         """Share of the bound at the level that the last plan keeps."""

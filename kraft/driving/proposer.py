@@ -115,12 +115,9 @@ class Proposer:
         command_timeout: float | None = None,
     ) -> None:
         self._settings, self._seed, self._realtime, self._keep_trees = settings, seed, realtime, keep_trees
-        self._solvers, self.dirt = solvers, solvers.checking
-        self.loss = None if command_timeout is None else CommandLoss(self.dirt, command_timeout)
+        self._command_timeout = command_timeout
+        self._use(solvers)
         self._zero_control = np.zeros(len(self.dirt.vehicle.controls))
-        assert self.dirt.goal is not None, "a task has a goal"
-        self._goal = self.dirt.goal
-        self._delta = self.dirt.safety.delta
         self.recovers = False
         """whether the last proposal is for a vehicle that leaves a place with less clearance than required"""
         self._levels = Levels(solvers, settings)
@@ -131,6 +128,21 @@ class Proposer:
         """Use settings with another budget from the next proposal on."""
         self._settings = settings
         self._budget = SearchBudget(settings, self._realtime)
+
+    def set_solvers(self, solvers: Solvers) -> None:
+        """Use other solvers from the next proposal on, at the level of clearance of the last one."""
+        if self._grown is not None:
+            planned = self._grown.dirt is self._solvers.planning
+            self._grown = replace(self._grown, dirt=solvers.planning if planned else solvers.checking)
+        self._use(solvers)
+        self._levels.set_solvers(solvers)
+
+    def _use(self, solvers: Solvers) -> None:
+        self._solvers, self.dirt = solvers, solvers.checking
+        self.loss = None if self._command_timeout is None else CommandLoss(self.dirt, self._command_timeout)
+        assert self.dirt.goal is not None, "a task has a goal"
+        self._goal = self.dirt.goal
+        self._delta = self.dirt.safety.delta
 
     def propose(self, number: int, root: Floats, previous: Plan | None) -> Proposal:
         """Plan for cycle `number` from the predicted root.

@@ -158,14 +158,24 @@ class Replanner:
         if number > self._number:
             self._number, self._proposal = number, Proposal(None, "planning was held up")
 
-    def set_solvers(self, solvers: Solvers) -> None:
-        """Plan and check with other solvers, of a task with another map or goal, from the next plan on."""
-        self._blocked = ()
+    @property
+    def blocked(self) -> tuple[Polygon, ...]:
+        """What has blocked the vehicle, beside the obstacles of the task."""
+        return self._blocked
+
+    def set_solvers(self, solvers: Solvers, blocked: tuple[Polygon, ...] = ()) -> None:
+        """Decide and plan with other solvers from now on, of a task with another map or goal.
+
+        The plan for the next cycle stays.  It is checked with them at the share of the bound for which it was made.
+        `blocked` are those of their obstacles that are not the task's.
+        """
+        self._blocked = blocked
+        self._proposer.set_solvers(solvers)
         self._use(solvers)
 
     def _use(self, solvers: Solvers) -> None:
+        """Use the solvers of the proposer for all the rest."""
         self._solvers, self.dirt = solvers, solvers.checking
-        self._proposer = self._propose_with(solvers)
         self._predict = replace(self._predict, dirt=self.dirt)
         set_map(self._predict.controller, self.dirt)
         if self._ranking is not None:
@@ -239,7 +249,9 @@ class Replanner:
     def _block(self, obstacles: tuple[Polygon, ...], reason: str) -> None:
         """Plan with these obstacles beside those of the task; the plan for this cycle does not know them."""
         self._blocked, self._fruitless = obstacles, 0
-        self._use(self._solvers.with_obstacles(obstacles, self._settings))
+        solvers = self._solvers.with_obstacles(obstacles, self._settings)
+        self._proposer = self._propose_with(solvers)
+        self._use(solvers)
         self._proposal = Proposal(None, reason)
 
     def _calibrate(self, estimate: Estimate) -> None:

@@ -342,9 +342,10 @@ class Planner:
         """
         assert self._replanner is not None, "it has begun"
         self._task = changed(self._task, change.goal, change.map)
-        self._solvers = Solvers.of(self._task, self._spec.vehicle, self._spec.method.planner)
+        blocked = self._replanner.blocked if change.map is None else ()  # a new map has it, or it is gone
+        self._solvers = Solvers.of(self._task, self._spec.vehicle, self._spec.method.planner, blocked)
         self._solvers.load(self._state)
-        self._replanner.set_solvers(self._solvers)
+        self._replanner.set_solvers(self._solvers, blocked)
 
 
 def changed(task: Task, goal: tuple[float, float] | None, grid: OccupancyMap | None) -> Task:

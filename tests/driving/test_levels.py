@@ -26,7 +26,7 @@ from kraft.driving.levels import (
     Levels,
     levels_of,
 )
-from kraft.driving.messages import Uncertainty
+from kraft.driving.messages import Estimate, ReferenceKind, Uncertainty
 from kraft.driving.method import CalibratedBound, Clearance, PlannerSettings
 from kraft.driving.proposer import (
     DETOUR,
@@ -443,3 +443,30 @@ def test_solvers_of_another_task_ask_for_the_same_bound() -> None:
     subject.set_solvers(Solvers.of(turns(), mushr(), subject._settings))
     assert subject._proposer._levels.bound is bound
     assert subject.dirt.safety.delta == pytest.approx(BOUND.recheck * bound.delta)
+
+
+def test_a_plan_in_hand_is_checked_at_its_level_when_the_map_changes() -> None:
+    """The same map again changes nothing: the plan that keeps a small share of the bound is committed."""
+    subject = replanner(bound=BOUND, margin=MARGIN, iterations=600)
+    current = subject.begin(start(), UNCERTAIN)
+    subject._proposer._levels.keep(2, stalled=False)
+    subject._proposer.recovers = True
+    subject._proposer._levels.require()
+    asked = subject.dirt.safety
+    subject.set_solvers(Solvers.of(turns(), mushr(), subject._settings))
+    assert subject._proposer._levels.kept == 2
+    assert subject._proposer.recovers
+    assert subject.dirt.safety == asked
+    cycle = subject.step(Estimate(0.0, start(), 0.0, None, UNCERTAIN), current)
+    assert cycle.kind is ReferenceKind.PLAN
+
+
+def test_plans_to_another_goal_may_cost_more_without_a_lack_of_progress() -> None:
+    levels = Levels(Solvers.of(turns(), mushr(), replanner(bound=BOUND)._settings), replanner(bound=BOUND)._settings)
+    for cost in (5.0, 9.0, 9.0, 9.0):
+        assert levels.gets_on
+        levels.note_progress(cost, rises=False)
+    assert not levels.gets_on
+    levels.set_solvers(Solvers.of(turns(), mushr(), replanner(bound=BOUND)._settings))
+    levels.note_progress(9.0, rises=False)
+    assert levels.gets_on
