@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from kraft.config import bundled
 from kraft.config.source import Source
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.interface import Identification
+from kraft.sysid.log_motion import motions
 from kraft.sysid.smoothing import high_speed
 from kraft.vehicles.code import check_functions, vehicle_of
 from kraft.vehicles.config import Footprint, Parameter, VehicleConfig
@@ -155,6 +157,16 @@ def _recorded(manifest: Path) -> RecordedVehicle | None:
     return RecordedVehicle.read(stated, manifest) if isinstance(stated, dict) else None
 
 
+WHEELBASE, LEVER = "L", "lever"
+"""Parameters of `kraft.vehicles.car` that are lengths."""
+WHEELS_TURNED = 0.4
+"""Angle of the wheels in the sharpest turn of a car whose wheelbase is chosen, rad."""
+WHEELS_TURNED_USUALLY = 0.15, 0.7
+"""Range of this angle in which the wheelbase of the vehicle file suits, rad."""
+SHARPEST = 0.98
+"""Quantile of the curvature that counts as that of the sharpest turn."""
+SHARE_OF_SPEED = 0.3
+"""Share of the top speed of the logs from which on the curvature is measured."""
 COMMANDS_OF = {"throttle": "full_throttle", "steering": "full_steering"}
 """Parameters of `kraft.vehicles.car` that state what command counts as full."""
 
@@ -176,6 +188,32 @@ def for_commands(base: BaseVehicle, logs: Sequence[Log]) -> BaseVehicle:
         reach = values["full_steering"]
         limits["steering"] = (-reach, reach)
     changed = config.with_values(values).with_controls(limits)
+    return replace(base, definition=changed, vehicle=configured(changed))
+
+
+def for_turns(base: BaseVehicle, logs: Sequence[Log]) -> BaseVehicle:
+    """The car with a wheelbase that suits its size: poses show only its ratio to the tangent of the wheel angle.
+
+    The steering curve is one of angles.  At the wheelbase of a car of another size it would have to follow the curve of
+    the tangent, so that the sharpest turn of the logs is one of `WHEELS_TURNED` there.  Lengths have bounds in
+    proportion.  A car of about the size of the vehicle file remains as it is.
+    """
+    config = base.definition
+    assert isinstance(config, VehicleConfig)  # a vehicle file with terms
+    known, found = config.parameters[WHEELBASE], motions(logs)
+    if not found:
+        return base
+    speed, rate = (np.abs(np.concatenate([getattr(m, name) for m in found])) for name in ("speed", "rate"))
+    fast = speed > SHARE_OF_SPEED * np.quantile(speed, 0.95)
+    sharpest = float(np.quantile(rate[fast] / np.maximum(speed[fast], 1e-6), SHARPEST)) if fast.any() else 0.0
+    low, high = WHEELS_TURNED_USUALLY
+    if sharpest <= 0.0 or low <= math.atan(sharpest * known.value) <= high:
+        return base
+    wheelbase = float(f"{math.tan(WHEELS_TURNED) / sharpest:.1g}")
+    wheelbase = float(np.clip(wheelbase, known.min or 0.0, known.max or math.inf))
+    lever, ratio = dict(config.parameters[LEVER]), wheelbase / known.value
+    bounds = {key: ratio * lever[key] for key in ("min", "max", "std") if lever[key] is not None}
+    changed = config.with_stated({WHEELBASE: {"value": wheelbase}, LEVER: bounds})
     return replace(base, definition=changed, vehicle=configured(changed))
 
 

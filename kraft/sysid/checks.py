@@ -177,11 +177,16 @@ def _bounds(solution: SolvedProblem) -> Iterator[str]:
     for name, which in at_bound(solution).items():
         spec = p.specs[p.index(name)]
         bound = spec.min if which == "lower" else spec.max
-        is_lag = spec.unit == "s" and 0.0 <= bound <= step + 1e-9  # one within a step hardly differs from none
-        if bound in (0.0, spec.neutral) or is_lag:
+        if bound in (0.0, spec.neutral):
             yield (
                 f"{name} is {bound:g}{spec.unit_text if bound else ''}, its {which} bound: the data show no such "
-                f"{'lag' if is_lag else 'effect'}, and a model without it suffices"
+                "effect, and a model without it suffices"
+            )
+            continue
+        if spec.unit == "s" and 0.0 < bound <= step + 1e-9:
+            yield (
+                f"{name} is {bound:g}{spec.unit_text}, its {which} bound and the shortest lag that the model has: that "
+                "of the vehicle is the same or shorter, and the delay and other terms may make up for the difference"
             )
             continue
         yield (
@@ -296,15 +301,18 @@ def _steering(solution: SolvedProblem) -> Iterator[str]:
     speed = rates[:, 0] * np.cos(yaw) + rates[:, 1] * np.sin(yaw)
     moving = np.abs(speed) > MOVING_SPEED_SHARE * np.quantile(np.abs(speed), 0.95)
     enough = moving.sum() >= 10
+    full = vehicle.parameters.get("full_steering")  # of a car whose commands are in any unit
+    least = STEERING_STD_MIN if full is None else STEERING_SPREAD_MIN * full
     correlation = _best_correlation(steering, rates[:, 2] / np.where(moving, speed, 1.0), moving) if enough else 0.0
-    if not enough or np.std(steering[moving]) < STEERING_STD_MIN:
+    if not enough or np.std(steering[moving]) < least:
         low, high = (float(np.min(steering)), float(np.max(steering))) if len(steering) else (0.0, 0.0)
         hint = (
             "nevertheless the vehicle turns with it: were radians taken for degrees?"
-            if abs(correlation) > STEERING_CORRELATION_PRESENT
+            if full is None and abs(correlation) > STEERING_CORRELATION_PRESENT
             else "drive arcs to the left and to the right"
         )
-        yield f"the steering hardly changes while driving ({low:.2f} to {high:.2f} rad): {hint}"
+        unit = " rad" if full is None else ""
+        yield f"the steering hardly changes while driving ({low:.2g} to {high:.2g}{unit}): {hint}"
         return
     if correlation < -STEERING_CORRELATION_LOW:
         yield f"steering and curvature have opposite signs (correlation {correlation:.2f}): is positive to the left?"
@@ -313,8 +321,8 @@ def _steering(solution: SolvedProblem) -> Iterator[str]:
             f"steering does not correlate with curvature (correlation {correlation:.2f}): are commands and poses of "
             "the same drive, on the same clock, the steering in radians?"
         )
-    elif np.min(steering[moving]) > -STEERING_STD_MIN or np.max(steering[moving]) < STEERING_STD_MIN:
-        side = "left" if np.min(steering[moving]) > -STEERING_STD_MIN else "right"
+    elif np.min(steering[moving]) > -least or np.max(steering[moving]) < least:
+        side = "left" if np.min(steering[moving]) > -least else "right"
         yield f"the vehicle only steers to the {side}: drive arcs to the left and to the right"
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from kraft.errors import InputError, NegativeResult
-from kraft.sysid.base_vehicle import BaseVehicle, for_commands, load_base_vehicle, with_speed
+from kraft.sysid.base_vehicle import WHEELBASE, BaseVehicle, for_commands, for_turns, load_base_vehicle, with_speed
 from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.data import check_any, usable_logs
 from kraft.sysid.identify import identify
@@ -135,6 +135,8 @@ def _screened(
 def _with_terms(logs: Sequence[Log], settings: Settings, on_iteration: OnIteration) -> IdentifiedCar:
     """The car with the terms that the logs need, commands in the range of the logs."""
     cars = [for_commands(load_base_vehicle(name), logs) for name in CARS]
+    if WHEELBASE not in settings.values:
+        cars = [for_turns(each, logs) for each in cars]
     definitions = [each.definition for each in cars if isinstance(each.definition, VehicleConfig)]
     choice = identify_terms(definitions[0], logs, settings, on_iteration, definitions[1])
     base = next(each for each in cars if each.definition is choice.vehicle)

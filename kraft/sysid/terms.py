@@ -10,6 +10,7 @@ import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.log import Log
+from kraft.sysid.base_vehicle import WHEELBASE
 from kraft.sysid.checks import SolvedProblem, SteeringInMotion, warnings_of
 from kraft.sysid.data import usable_logs
 from kraft.sysid.interface import Identification, ModelTrial, Settings
@@ -34,7 +35,6 @@ from ompl_ext.vehicle import Vehicle
 
 BOTH_SIDES = ("phi_diff", "asymmetry", "yaw_offset")
 """Parameters of a car that turns to one side do not tell from the steering curve and the slip."""
-WHEELBASE = "L"
 
 
 @dataclass(frozen=True)
@@ -120,8 +120,9 @@ def _wheelbase_note(identification: Identification, settings: Settings) -> list[
     if known is None or not known.frozen or WHEELBASE in settings.values:
         return []
     return [
-        f"poses do not show {WHEELBASE}, the wheelbase, but its ratio to the steering: it remains {known.value:g} m, "
-        "and wheel angles are those of such a car; state the measured one, with which predictions are the same"
+        f"poses do not show {WHEELBASE}, the wheelbase, but its ratio to the steering: it is taken as "
+        f"{known.value:g} m, and wheel angles are those of such a car; state the measured one "
+        f"(--param {WHEELBASE}=...), with which predictions are about the same"
     ]
 
 

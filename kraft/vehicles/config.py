@@ -147,16 +147,23 @@ class VehicleConfig(StrictModel):
             for name in values
             if name not in self.parameters
         ]
-        parameters = {
-            name: {**dict(parameter), "value": values.get(name, parameter.value)}
-            for name, parameter in self.parameters.items()
-        }
+        stated = {name: {"value": value} for name, value in values.items() if name in self.parameters}
         try:
-            changed = build(VehicleConfig, {**dict(self), "parameters": parameters}, self.name)
+            changed = self.with_stated(stated)
         except InputError as error:
             raise InputError([*problems, *error.diagnostics]) from None
         if problems:
             raise InputError(problems)
+        return changed
+
+    def with_stated(self, stated: Mapping[str, Mapping[str, float]]) -> VehicleConfig:
+        """Same vehicle with other values of some keys of some of its parameters, such as their limits.
+
+        Raises:
+            InputError: for values outside their limits.
+        """
+        parameters = {name: {**dict(each), **stated.get(name, {})} for name, each in self.parameters.items()}
+        changed = build(VehicleConfig, {**dict(self), "parameters": parameters}, self.name)
         changed._source = self._source
         return changed
 

@@ -15,7 +15,14 @@ from kraft.logs.reader import read_logs
 from kraft.sysid import Settings, identify, prediction_errors
 from kraft.sysid.acceptance import useless_objections
 from kraft.sysid.actuators import ActuatorModel
-from kraft.sysid.base_vehicle import for_commands, for_sides, load_base_vehicle, with_recorded_commands, with_speed
+from kraft.sysid.base_vehicle import (
+    for_commands,
+    for_sides,
+    for_turns,
+    load_base_vehicle,
+    with_recorded_commands,
+    with_speed,
+)
 from kraft.sysid.chains import whole_segment
 from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.dynamics import DiscreteModel
@@ -259,6 +266,19 @@ def test_a_car_takes_commands_as_they_were_recorded() -> None:
     after = prediction_errors(recorded.definition, numbers, again.values)
     assert after.position[1.0] == pytest.approx(before.position[1.0], rel=1e-6)
     assert recorded.vehicle.controls["steering"][1] == pytest.approx(100.0 * base.vehicle.controls["steering"][1])
+
+
+@pytest.mark.parametrize(("wheelbase", "expected"), [(0.06, 0.06), (4.0, 4.0), (0.25, 0.33)])
+def test_a_car_of_another_size_has_a_wheelbase_that_suits_it(wheelbase: float, expected: float) -> None:
+    logs = [drive(car(L=wheelbase, steer=0.4), seed) for seed in range(2)]
+    base = load_base_vehicle("car")
+    found = for_turns(base, logs)
+    assert found.vehicle.parameters["L"] == pytest.approx(expected, rel=0.3)
+    lever, before = found.parameters["lever"], base.parameters["lever"]
+    assert lever.max is not None
+    assert before.max is not None
+    assert lever.max == pytest.approx(before.max * found.vehicle.parameters["L"] / 0.33)
+    assert (found is base) == (wheelbase == 0.25)
 
 
 def test_a_variation_names_a_parameter_of_the_model_and_is_not_negative() -> None:
