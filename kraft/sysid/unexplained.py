@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 
 TAPS: Final = (0.0, 0.1, 0.2, 0.3, 0.4)
 """Ages of the commands that take part, s."""
+SWEEPS: Final = (0.2, 0.4, 0.6, 0.8, 1.2, 1.6, 2.4, 3.2)
+"""Times in which a slow servo may turn the wheels by the largest command, s."""
+SLOW: Final = 0.5
+"""Share of what is left of the yaw rate with a servo at once, up to which one of these times explains it."""
 LOOK_AHEAD: Final = 0.5
 """Time over which the change of the speed is explained, s."""
 SMOOTHED: Final = 5
@@ -86,7 +90,7 @@ def _left(found: Sequence[Motion]) -> list[tuple[Floats, Floats, Floats]]:
     """What the regressions leave of speed, yaw rate and sideways speed, over the least that counts; (n,) each."""
     ahead = round(LOOK_AHEAD / STEP)
     speed = _residuals([_speed_terms(m, ahead) for m in found], [m.speed[ahead:] - m.speed[:-ahead] for m in found])
-    rate = _residuals([_rate_terms(m) for m in found], [m.rate for m in found])
+    rate = _rate_residuals(found)
     side = _residuals([_side_terms(m) for m in found], [m.side for m in found])
     high = float(np.quantile(np.abs(np.concatenate([m.speed for m in found])), 0.9))
     turning = float(np.quantile(np.abs(np.concatenate([m.rate for m in found])), 0.9))
@@ -115,14 +119,46 @@ def _speed_terms(m: Motion, ahead: int) -> Matrix:
     return np.column_stack([*terms, v, v * np.abs(v), np.tanh(10.0 * v), v * m.rate[:-ahead] ** 2, np.ones(len(v))])
 
 
-def _rate_terms(m: Motion) -> Matrix:
-    """Terms (n, k) of the yaw rate."""
+def _rate_residuals(found: Sequence[Motion]) -> list[Floats]:
+    """What is left of the yaw rate (n,), with the wheels turned at once or, where that explains far more, in time."""
+    rates, full = [m.rate for m in found], max(float(np.abs(m.commands()[:, 1]).max()) for m in found)
+    at_once = _residuals([_rate_terms(m, m.commands()[:, 1]) for m in found], rates)
+    least, best = SLOW * _square(at_once), at_once
+    for sweep in SWEEPS:
+        step = full * STEP / sweep
+        slow = _residuals([_rate_terms(m, _followed(m.commands()[:, 1], step)) for m in found], rates)
+        if _square(slow) < least:
+            least, best = _square(slow), slow
+    return best
+
+
+def _square(residuals: Sequence[Floats]) -> float:
+    return float(np.mean(np.concatenate(residuals) ** 2))
+
+
+def _followed(commands: Floats, step: float) -> Floats:
+    """Angle (n,) that follows commands (n,) by at most `step` from sample to sample."""
+    followed, at = np.empty(len(commands)), float(commands[0])
+    for k, wanted in enumerate(commands.tolist()):
+        at += min(max(wanted - at, -step), step)
+        followed[k] = at
+    return followed
+
+
+def _rate_terms(m: Motion, turned: Floats) -> Matrix:
+    """Terms (n, k) of the yaw rate with wheels that are `turned` (n,), in the unit of the command."""
     v, terms = m.speed, []
     for age in TAPS:
-        s = m.commands(age)[:, 1]
+        s = _before(turned, age)
         terms += [v * s, v * s * np.abs(s)]
-    s = m.commands(0.2)[:, 1]
+    s = _before(turned, 0.2)
     return np.column_stack([*terms, v, v * np.abs(v) * s, v**3 * s])
+
+
+def _before(values: Floats, age: float) -> Floats:
+    """Values (n,) of `age` s before each sample; of the first one before that."""
+    count = round(age / STEP)
+    return np.concatenate([np.full(count, values[0]), values[: len(values) - count]])
 
 
 def _side_terms(m: Motion) -> Matrix:

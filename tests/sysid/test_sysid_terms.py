@@ -12,7 +12,7 @@ from support.logs import RAMPS, needs_real_logs
 from kraft.errors import InputError
 from kraft.logs.log import Log, Part
 from kraft.logs.reader import read_logs
-from kraft.sysid import Settings, identify, prediction_errors
+from kraft.sysid import Settings, identify, prediction_errors, unexplained
 from kraft.sysid.acceptance import useless_objections
 from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.base_vehicle import (
@@ -33,6 +33,7 @@ from kraft.sysid.selection import is_shown
 from kraft.sysid.smoothing import thinned
 from kraft.sysid.structure import StructureSearch
 from kraft.sysid.terms import identify_terms
+from kraft.sysid.unexplained import unexplained_stretches
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import configured, load_vehicle
 from ompl_ext.vehicle import Vehicle
@@ -279,6 +280,14 @@ def test_a_car_of_another_size_has_a_wheelbase_that_suits_it(wheelbase: float, e
     assert before.max is not None
     assert lever.max == pytest.approx(before.max * found.vehicle.parameters["L"] / 0.33)
     assert (found is base) == (wheelbase == 0.25)
+
+
+def test_a_slow_servo_is_no_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its wheels turn at 0.7 rad/s at most; the commands of the last 0.4 s alone do not explain the yaw rate."""
+    logs = [drive(load_vehicle("car-lag", parameters={"rate_limit": 1.5}), seed) for seed in range(8)]
+    assert unexplained_stretches(logs) == ()
+    monkeypatch.setattr(unexplained, "SWEEPS", ())
+    assert len(unexplained_stretches(logs)) > 3
 
 
 def test_a_variation_names_a_parameter_of_the_model_and_is_not_negative() -> None:
