@@ -20,7 +20,7 @@ from kraft.planning.workspace import vehicle_of_task
 from kraft.robot.connect import open_transport
 from kraft.robot.priority import prefer_this_process
 from kraft.robot.robot_file import load_robot
-from kraft.robot.transport import Peers, Receive, Transport
+from kraft.robot.transport import Peers, Receive, Refused, Transport
 from kraft.robot.world import RobotWorld, WorldResult
 from kraft.scenario import load_scenario
 
@@ -62,8 +62,9 @@ class SpoiltTransport:
             self.inner.publish(topic, spoilt)
 
     def subscribe(
-        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True
-    ) -> None:
+        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True,
+        refused: Refused | None = None,
+    ) -> None:  # fmt: skip
         """Receive what is left of messages."""
 
         def arrived(message: Any, arrival: int) -> None:
@@ -71,7 +72,7 @@ class SpoiltTransport:
             if spoilt is not None:
                 receive(spoilt, arrival)
 
-        self.inner.subscribe(topic, kind, arrived, latched=latched, reliable=reliable)
+        self.inner.subscribe(topic, kind, arrived, latched=latched, reliable=reliable, refused=refused)
 
     def peers(self, topic: str) -> Peers:
         """Publishers and subscribers of a topic."""

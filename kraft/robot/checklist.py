@@ -16,6 +16,7 @@ from kraft.robot.poses import Pose, Received, units_hint
 from kraft.robot.priority import is_preferred
 from kraft.robot.protocol import Check, Checked, DriveSpec
 from kraft.robot.robot_file import Robot
+from kraft.robot.task_inputs import TaskInputs
 from kraft.robot.transport import Peers, Transport
 from kraft.scenario import Task
 from kraft.vehicles.config import load_vehicle_config
@@ -52,8 +53,9 @@ def examine_topics(robot: Robot) -> tuple[Check, ...]:
 class Checklist:
     """Looks at a robot that stands, and tells what prevents a drive."""
 
-    def __init__(self, robot: Robot, transport: Transport, inputs: Inputs) -> None:
-        self._robot, self._transport, self._inputs = robot, transport, inputs
+    def __init__(self, robot: Robot, transport: Transport, inputs: Inputs, tasks: TaskInputs | None = None) -> None:
+        """Look at what arrives in `inputs`; `tasks` are the goals and maps of a drive."""
+        self._robot, self._transport, self._inputs, self._tasks = robot, transport, inputs, tasks
 
     def examine(self) -> tuple[Check, ...]:
         """Checks that need no drive."""
@@ -78,7 +80,9 @@ class Checklist:
         if not peers.publishers:
             self._transport.advertise(topic, kind)
             self._wait_for_subscriber(is_cancelled)
-        return Checked(tuple(checks), _mean_pose(poses), _rate(poses), self._inputs.take_map())
+        return Checked(
+            tuple(checks), _mean_pose(poses), _rate(poses), None if self._tasks is None else self._tasks.take_map()
+        )
 
     def _listen(self, is_cancelled: Callable[[], bool]) -> tuple[list[Received], Peers]:
         """Poses of a while after the first one, and the peers of the commands."""
@@ -92,7 +96,7 @@ class Checklist:
                 first = now
             peers = self._transport.peers(topic)
             complete = peers.subscribers is None or peers.subscribers
-            ready = complete and not self._inputs.trouble
+            ready = complete and not self._inputs.trouble and not (self._tasks is not None and self._tasks.awaits_map)
             if first is not None and now - first > LISTENING and (ready or now - first > 0.5 * WAITING):
                 break
             clock.sleep(0.05)
@@ -183,9 +187,9 @@ class Checklist:
 
     def _check_map(self) -> list[Check]:
         settings = self._robot.map
-        if settings is None:
+        if settings is None or self._tasks is None:
             return []
-        return [self._inputs.map_check(settings.topic)]
+        return [self._tasks.map_check(settings.topic)]
 
 
 def _check_model(vehicle: Vehicle) -> Check:

@@ -9,7 +9,6 @@ brake guard (`kraft.robot.guard`) does so.
 from __future__ import annotations
 
 import math
-import signal
 import sys
 import threading
 import time as clock
@@ -31,7 +30,13 @@ from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
 from kraft.robot.journal import Journal
 from kraft.robot.poses import Clocks
-from kraft.robot.priority import lock_memory, name_this_process, prefer_this_process, shorten_collections
+from kraft.robot.priority import (
+    leave_signals_to_planner,
+    lock_memory,
+    name_this_process,
+    prefer_this_process,
+    shorten_collections,
+)
 from kraft.robot.protocol import (
     Beat,
     Begin,
@@ -50,6 +55,7 @@ from kraft.robot.protocol import (
     TaskChange,
     moved_goal,
 )
+from kraft.robot.task_inputs import TaskInputs
 from kraft.robot.tracker import Tracker, warm_up
 from kraft.robot.transport import Transport
 from kraft.scenario import Goal
@@ -90,14 +96,16 @@ UNSENT: Final = 60
 """Number of messages from which on the brake guard counts as held up."""
 
 
-def run_control(spec: DriveSpec, planner: Connection, guard: Connection, others: Sequence[Connection]) -> None:
+def run_control(
+    spec: DriveSpec, planner: Connection, guard: Connection, maps: Connection | None, others: Sequence[Connection]
+) -> None:
     """Main function of the process: check, drive, and write what is driven as it is driven.
 
-    `planner` and `guard` lead to the other processes; `others` are ends that this one does not need.
+    `planner`, `guard` and `maps` lead to the other processes; `others` are ends that this one does not need.
     """
     for each in others:
         each.close()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the planner's process tells when to stop
+    leave_signals_to_planner()
     name_this_process("kraft control")
     sys.setswitchinterval(0.0005)
     prefer_this_process()
@@ -110,7 +118,8 @@ def run_control(spec: DriveSpec, planner: Connection, guard: Connection, others:
         return
     try:
         inputs = Inputs(spec.robot, transport)
-        found = Checklist(spec.robot, transport, inputs).run(spec, lambda: mailbox.closed)
+        tasks = TaskInputs(spec.robot, transport, Mailbox(maps, "the process of the maps") if maps else None)
+        found = Checklist(spec.robot, transport, inputs, tasks).run(spec, lambda: mailbox.closed)
         mailbox.send(found)
         order = mailbox.wait()
         if isinstance(order, Begin) and found.passed:
@@ -120,7 +129,7 @@ def run_control(spec: DriveSpec, planner: Connection, guard: Connection, others:
             _wait_for_guard(spec, transport, guard_mail)
             health = Health(spec.robot.watchdog, min(found.pose_rate, spec.robot.pose.rate_hz), spec.period)
             with Journal(spec.folder, headings(spec.vehicle)) as journal:
-                drive = Control(spec, transport, inputs, mailbox, guard_mail, journal, tracker, health)
+                drive = Control(spec, transport, inputs, tasks, mailbox, guard_mail, journal, tracker, health)
                 ended = mailbox.send(drive.run())
             guard_mail.send(Released()).wait(1.0)
             ended.wait(REPORT_TIME)
@@ -152,10 +161,10 @@ class Control:
     """One drive of the controller."""
 
     def __init__(
-        self, spec: DriveSpec, transport: Transport, inputs: Inputs, mailbox: Mailbox, guard: Mailbox,
-        journal: Journal, tracker: Tracker, health: Health,
+        self, spec: DriveSpec, transport: Transport, inputs: Inputs, tasks: TaskInputs, mailbox: Mailbox,
+        guard: Mailbox, journal: Journal, tracker: Tracker, health: Health,
     ) -> None:  # fmt: skip
-        self._spec, self._transport, self._inputs = spec, transport, inputs
+        self._spec, self._transport, self._inputs, self._tasks = spec, transport, inputs, tasks
         self._mailbox, self._guard, self._journal, self._tracker = mailbox, guard, journal, tracker
         self._health = health
         self._model, self._on_board, self._settings = tracker.model, tracker.on_board, tracker.settings
@@ -373,7 +382,7 @@ class Control:
 
     def _take_task(self) -> None:
         """Hand a new goal or map to the planner at once: it gets ready for it before it decides the next time."""
-        goal, grid = self._inputs.take_goal(), self._inputs.take_map()
+        goal, grid = self._tasks.take_goal(), self._tasks.take_map()
         if goal is not None:
             self._goal = moved_goal(self._goal, goal)
         if (goal is not None or grid is not None) and not self._mailbox.closed:

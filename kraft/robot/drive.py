@@ -32,6 +32,7 @@ from kraft.files import LineFile
 from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
 from kraft.robot.guard import run_guard
+from kraft.robot.maps import near_bounds, run_maps
 from kraft.robot.priority import preferred_planner, process_context, short_collections, shorten_collections
 from kraft.robot.protocol import (
     Begin,
@@ -53,8 +54,6 @@ from ompl_ext.arrays import Floats
 
 LEAD: Final = 0.3
 """Time before a cycle at which it is decided, s: the decision takes a part of it, and travels to the controller."""
-AROUND: Final = 1.0
-"""Distance from the bounds up to which a map of the robot is used, m."""
 JOIN_TIME: Final = 5.0
 """Time to wait for the end of the controller's process, s."""
 GUARD_JOIN_TIME: Final = 12.0
@@ -161,16 +160,27 @@ def drive(
 
 
 def _drive_in_processes(spec: DriveSpec, report: tuple[Any, Any, Any, Any], keep_trees: bool) -> DriveResult:
-    """Start controller and brake guard, and plan for them."""
-    context = process_context()
+    """Start controller, brake guard and the process that receives maps, and plan for them."""
+    context, has_maps = process_context(), spec.robot.map is not None
     (here, there), (to_guard, to_control) = context.Pipe(), context.Pipe()
-    guard = context.Process(target=run_guard, args=(spec, to_control, (here, there, to_guard)), name="kraft guard")
+    to_maps, from_maps = context.Pipe() if has_maps else (None, None)
+    ends = [end for end in (here, there, to_guard, to_control, to_maps, from_maps) if end is not None]
+
+    def others(*own: Connection | None) -> list[Connection]:
+        return [end for end in ends if end not in own]
+
+    guard = context.Process(target=run_guard, args=(spec, to_control, others(to_control)), name="kraft guard")
     process = context.Process(
-        target=run_control, args=(spec, there, to_guard, (here, to_control)), name="kraft controller"
-    )
-    for each in (guard, process):
+        target=run_control, args=(spec, there, to_guard, to_maps, others(there, to_guard, to_maps)),
+        name="kraft controller",
+    )  # fmt: skip
+    started = [(process, JOIN_TIME), (guard, GUARD_JOIN_TIME)]
+    if from_maps is not None:
+        maps = context.Process(target=run_maps, args=(spec, from_maps, others(from_maps)), name="kraft map")
+        started.append((maps, JOIN_TIME))
+    for each, _ in started:
         each.start()
-    for end in (there, to_guard, to_control):
+    for end in others(here):
         end.close()
     lock = threading.Lock()
 
@@ -183,7 +193,7 @@ def _drive_in_processes(spec: DriveSpec, report: tuple[Any, Any, Any, Any], keep
             return _drive(spec, here, process, send, report, keep_trees)
     finally:
         here.close()
-        for each, patience in ((process, JOIN_TIME), (guard, GUARD_JOIN_TIME)):
+        for each, patience in started:
             each.join(patience)
             if each.is_alive():
                 each.kill()
@@ -354,9 +364,7 @@ def changed(task: Task, goal: tuple[float, float] | None, grid: OccupancyMap | N
         task = replace(task, goal=moved_goal(task.goal, goal))
     if grid is not None:
         kept = tuple(each for each in task.obstacles if each.name != grid.name)
-        (x0, x1), (y0, y1) = task.bounds.x, task.bounds.y
-        here = grid.cropped((x0 - AROUND, x1 + AROUND), (y0 - AROUND, y1 + AROUND))  # it may be that of a building
-        task = replace(task, obstacles=(*kept, here))
+        task = replace(task, obstacles=(*kept, near_bounds(grid, task)))
     return task
 
 

@@ -10,7 +10,6 @@ other processes, such as Ctrl-Z in a terminal, do not reach it, and it outlives 
 from __future__ import annotations
 
 import os
-import signal
 import time
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
@@ -20,7 +19,13 @@ from kraft.driving.messages import ReferenceKind
 from kraft.robot.connect import open_transport
 from kraft.robot.inputs import Inputs
 from kraft.robot.journal import Journal
-from kraft.robot.priority import lock_memory, name_this_process, prefer_this_process, shorten_collections
+from kraft.robot.priority import (
+    leave_signals_to_planner,
+    lock_memory,
+    name_this_process,
+    prefer_this_process,
+    shorten_collections,
+)
 from kraft.robot.protocol import Beat, Begin, DriveSpec, Guarded, Guarding, Mailbox, Ready, Released, StopOrder
 from kraft.robot.tracker import Tracker, warm_up
 
@@ -37,7 +42,7 @@ def run_guard(spec: DriveSpec, connection: Connection, others: Sequence[Connecti
     for each in others:
         each.close()
     os.setsid()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    leave_signals_to_planner()
     name_this_process("kraft guard")
     prefer_this_process()
     lock_memory()

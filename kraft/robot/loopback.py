@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from kraft.errors import Code, InputError
 from kraft.robot.messages import from_cdr, to_cdr
-from kraft.robot.transport import SEND_BUFFER, Outbox, Peers, Receive
+from kraft.robot.transport import SEND_BUFFER, Outbox, Peers, Receive, Refused
 
 LENGTH: Final = struct.Struct("<I")
 ANSWER_TIME: Final = 1.0
@@ -63,8 +63,9 @@ class LoopbackNode:
                 receive(message, now)
 
     def subscribe(
-        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True
-    ) -> None:
+        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True,
+        refused: Refused | None = None,
+    ) -> None:  # fmt: skip
         """Receive the messages of a topic, and the last one of a latched topic at once."""
         self._bus.receivers[topic].append((self, receive))
         if latched and topic in self._bus.last:
@@ -230,8 +231,9 @@ class LoopbackClient:
         self._outbox.put(topic, message)
 
     def subscribe(
-        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True
-    ) -> None:
+        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True,
+        refused: Refused | None = None,
+    ) -> None:  # fmt: skip
         """Receive the messages of a topic, and the last one of a latched topic."""
         self._subscriptions[topic] = kind, receive
         self._outbox.operate(_frame("subscribe", topic, kind, latched))

@@ -174,6 +174,10 @@ def _from_plain(node: Any, value: Any) -> Any:
     (inner_kind, inner), _size = detail
     if int(inner_kind) == _BASE and isinstance(value, str):
         return np.frombuffer(base64.b64decode(value), dtype=_DTYPES[inner[0]])
+    if not isinstance(value, list):
+        raise ValueError(f"expected a list, not {value!r}")
+    if int(inner_kind) == _BASE and inner[0] in _DTYPES:
+        return np.array(value, dtype=_DTYPES[inner[0]])  # at once: a map has millions of numbers; null is NaN
     return [_from_plain((inner_kind, inner), item) for item in value]
 
 

@@ -11,12 +11,15 @@ import ctypes
 import gc
 import multiprocessing
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from multiprocessing.context import ForkContext, SpawnContext
 from pathlib import Path
 from typing import Final
 
+STOPPING: Final = (signal.SIGINT,)
+"""Signals that stop a drive."""
 REAL_TIME: Final = 20
 """Priority among real-time processes."""
 PLANNER: Final = -10
@@ -39,6 +42,12 @@ def name_this_process(name: str) -> None:
     """Give this process a name of up to 15 letters in the lists of the operating system, where it permits it."""
     with contextlib.suppress(OSError):  # only Linux has it, and it is for people alone
         Path("/proc/self/comm").write_text(name, encoding="ascii")
+
+
+def leave_signals_to_planner() -> None:
+    """Ignore the signals that stop a drive: they reach every process of a group, and the planner's tells the others."""
+    for number in STOPPING:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def prefer_this_process() -> bool:

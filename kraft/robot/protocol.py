@@ -113,6 +113,25 @@ class TaskChange:
     map: OccupancyMap | None
 
 
+@dataclass(frozen=True)
+class MapNews:
+    """What the process that receives maps has received: a usable map, as far as it is near the bounds, or a problem.
+
+    `map` is None if it is the last usable one, `size` says how large the whole one is, `problem` why it cannot be used.
+    """
+
+    map: OccupancyMap | None
+    size: str = ""
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class MapLink:
+    """Why the process that receives maps is not connected to the robot; `problem` is empty if it is."""
+
+    problem: str
+
+
 def moved_goal(goal: Goal, center: tuple[float, float]) -> Goal:
     """Goal region around another position (m), which a vehicle may reach with any heading."""
     return replace(goal, center=center, heading=None, heading_tolerance=None)

@@ -11,7 +11,7 @@ from typing import Any, Final
 from kraft.errors import Code, InputError, MissingDependency
 from kraft.robot.messages import from_cdr, to_cdr, types
 from kraft.robot.robot_file import Ros2
-from kraft.robot.transport import Peers, Receive
+from kraft.robot.transport import Peers, Receive, Refused
 
 try:
     from cyclonedds import idl
@@ -119,7 +119,7 @@ class Ros2Transport:
             raise InputError.of("transport", problem, "expected a network interface that DDS can use") from error
         self.problem = ""
         self._writers: dict[str, Any] = {}
-        self._readers: dict[Any, tuple[Any, str, Receive]] = {}
+        self._readers: dict[Any, tuple[Any, str, Receive, Refused | None]] = {}
         self._waitset = WaitSet(self._participant)
         self._lock = threading.Lock()
         self._closed = False
@@ -146,15 +146,16 @@ class Ros2Transport:
             self.problem = f"DDS cannot send on {topic} ({error})"
 
     def subscribe(
-        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True
-    ) -> None:
+        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True,
+        refused: Refused | None = None,
+    ) -> None:  # fmt: skip
         """Receive the messages of a topic; latched ones are reliable and transient local."""
         quality = _quality(reliable=reliable or latched, latched=latched)
         named = Topic(self._participant, dds_topic(topic), _samples(kind), quality)
         reader = DataReader(self._participant, named, quality)
         condition = ReadCondition(reader, View.Any | Instance.Any | Sample.NotRead)
         with self._lock:
-            self._readers[condition] = (reader, kind, receive)
+            self._readers[condition] = (reader, kind, receive, refused)
             self._waitset.attach(condition)
 
     def peers(self, topic: str) -> Peers:
@@ -181,17 +182,19 @@ class Ros2Transport:
             arrival = time.monotonic_ns()
             with self._lock:
                 readers = list(self._readers.values())
-            for reader, kind, receive in readers:
+            for reader, kind, receive, refused in readers:
                 for sample in reader.take(HISTORY):
                     if sample.sample_info.valid_data:
-                        _deliver(sample.content, kind, receive, arrival)
+                        _deliver(sample.content, kind, receive, arrival, refused)
 
 
-def _deliver(content: bytes, kind: str, receive: Receive, arrival: int) -> None:
+def _deliver(content: bytes, kind: str, receive: Receive, arrival: int, refused: Refused | None = None) -> None:
     """Hand over a message; bytes that are none of this type come from a publisher of another type and are dropped."""
     try:
         message = from_cdr(content, kind)
-    except Exception:  # rosbags may raise anything on bytes that are no message
+    except Exception as error:  # rosbags may raise anything on bytes that are no message
+        if refused is not None:
+            refused(f"is not a {kind}: {error}")
         return
     receive(message, arrival)
 

@@ -17,7 +17,7 @@ from urllib.parse import urlparse
 from kraft.errors import Code, InputError, MissingDependency
 from kraft.robot.messages import from_json, is_known, to_json
 from kraft.robot.robot_file import Rosbridge
-from kraft.robot.transport import SEND_BUFFER, Outbox, Peers, Receive
+from kraft.robot.transport import SEND_BUFFER, Outbox, Peers, Receive, Refused
 
 CONNECT_TIME: Final = 5.0
 """Time to wait for a connection, s."""
@@ -51,6 +51,7 @@ def _websockets() -> Any:
 class _Subscription:
     kind: str
     receive: Receive
+    refused: Refused | None = None
 
 
 class RosbridgeClient:
@@ -105,10 +106,11 @@ class RosbridgeClient:
         self._outbox.put(topic, content)
 
     def subscribe(
-        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True
-    ) -> None:
+        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True,
+        refused: Refused | None = None,
+    ) -> None:  # fmt: skip
         """Receive the messages of a topic; the server replays latched ones."""
-        self._subscriptions[topic] = _Subscription(kind, receive)
+        self._subscriptions[topic] = _Subscription(kind, receive, refused)
         self._outbox.operate(json.dumps(self._subscription(topic)))
 
     def peers(self, topic: str) -> Peers:
@@ -205,8 +207,10 @@ class RosbridgeClient:
             return
         try:
             message = from_json(content["msg"], subscription.kind)
-        except (ValueError, KeyError, RecursionError):
-            return  # a message of another type than was asked for is no message
+        except (ValueError, KeyError, RecursionError) as error:  # of another type than was asked for
+            if subscription.refused is not None:
+                subscription.refused(str(error))
+            return
         subscription.receive(message, arrival)
 
 
@@ -259,8 +263,9 @@ class RosbridgeServer:
         self._forward(topic, message, None)
 
     def subscribe(
-        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True
-    ) -> None:
+        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True,
+        refused: Refused | None = None,
+    ) -> None:  # fmt: skip
         """Receive what clients publish on a topic."""
         with self._lock:
             self._own[topic] = _Subscription(kind, receive)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import queue
-import signal
 import threading
 import time as clock
 from multiprocessing.connection import Connection
@@ -34,7 +33,7 @@ from kraft.robot.messages import (
     stamped_pose,
     transform,
 )
-from kraft.robot.priority import name_this_process, process_context
+from kraft.robot.priority import leave_signals_to_planner, name_this_process, process_context
 from kraft.robot.protocol import DriveSpec, Sense
 from kraft.robot.transport import Transport
 
@@ -110,7 +109,7 @@ def run_display(spec: DriveSpec, bag: Path | None, arrived: Connection, other: C
     """Main function of the display's process, until `other`, the end of the planner's process, is closed everywhere."""
     other.close()
     name_this_process("kraft display")
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the planner's process tells when to stop
+    leave_signals_to_planner()
     try:
         with _Sender(spec, bag) as sender:
             while (message := _received(arrived)) is not None:

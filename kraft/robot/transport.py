@@ -12,6 +12,8 @@ from typing import Any, Final, Generic, Protocol, TypeAlias, TypeVar
 
 Receive: TypeAlias = Callable[[Any, int], None]
 """Called with each message and its time of arrival (ns of the monotonic clock), from a thread of the transport."""
+Refused: TypeAlias = Callable[[str], None]
+"""Called with why a message is none of the type that was asked for, from a thread of the transport."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +38,10 @@ class Transport(Protocol):
         """Send a message on an advertised topic, without waiting: of several that cannot be sent the newest counts."""
 
     def subscribe(
-        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True
-    ) -> None:
-        """Receive the messages of a topic."""
+        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True,
+        refused: Refused | None = None,
+    ) -> None:  # fmt: skip
+        """Receive the messages of a topic; `refused` is called with why a message is none of type `kind`."""
 
     def peers(self, topic: str) -> Peers:
         """Publishers and subscribers of a topic, without this program; it may wait for an answer of the network."""

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from multiprocessing import Pipe
 from typing import Any
 
 import pytest
@@ -17,9 +18,11 @@ from kraft.robot import checklist
 from kraft.robot.checklist import Checklist
 from kraft.robot.inputs import Inputs
 from kraft.robot.loopback import LoopbackBus, LoopbackNode
+from kraft.robot.maps import receive_maps
 from kraft.robot.messages import ACKERMANN, BOOL, GRID, JOY, POSE, header, make, pose_fields
-from kraft.robot.protocol import Checked, DriveSpec
+from kraft.robot.protocol import Checked, DriveSpec, Mailbox
 from kraft.robot.robot_file import Robot
+from kraft.robot.task_inputs import TaskInputs
 from kraft.scenario import load_scenario
 from kraft.vehicles.load import load_vehicle
 
@@ -78,7 +81,16 @@ def checked(send: Callable[[LoopbackNode], None], described: Robot | None = None
         bus.node("joystick").advertise("/drive", ACKERMANN)
     here = bus.node("kraft")
     with sending(send, bus):
-        return Checklist(described, here, Inputs(described, here)).run(spec, lambda: False)
+        return checklist_of(described, here, spec).run(spec, lambda: False)
+
+
+def checklist_of(described: Robot, here: LoopbackNode, spec: DriveSpec) -> Checklist:
+    """Check list as the controller has it; maps are received in this process."""
+    ours, theirs = Pipe()
+    if described.map is not None:
+        receive_maps(described, spec.task, here, theirs.send)
+    tasks = TaskInputs(described, here, None if described.map is None else Mailbox(ours, "the maps"))
+    return Checklist(described, here, Inputs(described, here), tasks)
 
 
 def states(found: Checked) -> dict[str, str]:
@@ -197,7 +209,7 @@ def test_the_map_of_the_robot_is_part_of_the_check(frame: str | None, state: str
 
 def test_goals_in_another_frame_are_ignored() -> None:
     bus, described = LoopbackBus(), robot(goal={"topic": "/goal"})
-    inputs, node = Inputs(described, bus.node("kraft")), bus.node("robot")
+    inputs, node = TaskInputs(described, bus.node("kraft"), None), bus.node("robot")
     node.publish("/goal", make(POSE, header=header(1, "odom"), pose=pose_fields(1, 2, 0)))
     assert inputs.take_goal() is None
     node.publish("/goal", make(POSE, header=header(1, "map"), pose=pose_fields(1, 2, 0)))
@@ -213,5 +225,5 @@ def test_a_scenario_that_begins_elsewhere_is_the_one_to_check_against() -> None:
     bus = LoopbackBus()
     here = bus.node("kraft")
     with sending(poses(), bus):
-        found = Checklist(robot(), here, Inputs(robot(), here)).run(replace(spec, task=moved), lambda: False)
+        found = checklist_of(robot(), here, spec).run(replace(spec, task=moved), lambda: False)
     assert states(found)["start"] == "problem"

@@ -21,13 +21,15 @@ from kraft.robot.command import CommandCodec, limited
 from kraft.robot.control import Control
 from kraft.robot.drive import Planner, changed, check_method, on_the_clock
 from kraft.robot.health import Health
-from kraft.robot.inputs import Inputs, occupancy_map
+from kraft.robot.inputs import Inputs
 from kraft.robot.journal import Journal
 from kraft.robot.loopback import LoopbackBus
+from kraft.robot.maps import occupancy_map
 from kraft.robot.messages import BOOL, GRID, make, pose_fields
 from kraft.robot.poses import Clocks, PoseGuard, Received, units_hint
 from kraft.robot.protocol import Begin, DriveSpec, Guarded, Mailbox, PlanRequest, Sense, TaskChange
 from kraft.robot.robot_file import Robot
+from kraft.robot.task_inputs import TaskInputs
 from kraft.robot.timebase import TopicClock
 from kraft.robot.tracker import Tracker
 from kraft.robot.world import clock_message
@@ -223,10 +225,10 @@ def test_millimetres_are_recognised() -> None:
 def test_a_map_with_a_turned_origin_and_unknown_cells_is_an_obstacle() -> None:
     info = {"resolution": 0.5, "width": 2, "height": 1, "origin": pose_fields(1.0, 2.0, 0.3)}
     found = occupancy_map(make(GRID, info=info, data=[0, -1]))
-    assert found is not None
     np.testing.assert_array_equal(found.occupied, [[False, True]])
     assert found.origin == pytest.approx((1.0, 2.0, 0.3))
-    assert occupancy_map(make(GRID, info={**info, "width": 3}, data=[0, -1])) is None
+    with pytest.raises(ValueError, match="its data are 2 cells"):
+        occupancy_map(make(GRID, info={**info, "width": 3}, data=[0, -1]))
 
 
 @pytest.mark.parametrize("speed", [0.2, 1.0, 3.0])
@@ -266,7 +268,10 @@ def test_a_command_of_the_guard_that_is_newer_than_the_tick_counts_from_the_tick
     (planner, _planner), (guard, theirs) = Pipe(), Pipe()
     mail = Mailbox(guard, "the brake guard")
     health = Health(described.watchdog, 30.0, spec.period)
-    control = Control(spec, node, inputs, Mailbox(planner, "the planner"), mail, Journal(None, {}), tracker, health)
+    control = Control(
+        spec, node, inputs, TaskInputs(described, node, None), Mailbox(planner, "the planner"), mail, Journal(None, {}),
+        tracker, health,
+    )  # fmt: skip
     theirs.send(Guarded(1.3, np.array([0.5, 0.1])))
     until = time.monotonic() + 5.0
     while (found := control._take_guarded(1.2)) == 0 and time.monotonic() < until:

@@ -14,7 +14,7 @@ from kraft.robot import world as robot_world
 from kraft.robot.command import CommandCodec
 from kraft.robot.messages import nanoseconds_of
 from kraft.robot.robot_file import load_robot
-from kraft.robot.transport import Peers, Receive
+from kraft.robot.transport import Peers, Receive, Refused
 from kraft.robot.world import RobotWorld, WorldResult
 from kraft.scenario import load_scenario
 from kraft.simulation.contacts import Collision
@@ -43,8 +43,9 @@ class Wire:
             self.stamps.append(nanoseconds_of(message.header.stamp))
 
     def subscribe(
-        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True
-    ) -> None:
+        self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True,
+        refused: Refused | None = None,
+    ) -> None:  # fmt: skip
         self.receive = receive
 
     def peers(self, topic: str) -> Peers:

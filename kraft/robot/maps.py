@@ -1,0 +1,107 @@
+"""The process that receives a robot's maps, so that a large one holds up no process that sends commands.
+
+To read a map of millions of cells takes seconds, in which no other thread of a process runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import Connection
+from typing import Any, Final
+
+import numpy as np
+
+from kraft.errors import KraftError
+from kraft.robot.connect import open_transport
+from kraft.robot.messages import GRID, yaw_of
+from kraft.robot.priority import leave_signals_to_planner, name_this_process
+from kraft.robot.protocol import DriveSpec, Mailbox, MapLink, MapNews
+from kraft.robot.robot_file import Robot
+from kraft.robot.transport import Transport
+from kraft.scenario import OccupancyMap, Task
+
+OCCUPIED: Final = 50
+"""Occupancy in percent from which on a cell of a map is occupied; unknown cells are occupied too."""
+RESOLUTION_MIN: Final = 0.005
+"""Least side of a cell of a map, m."""
+AROUND: Final = 1.0
+"""Distance from the bounds up to which a map of the robot is used, m."""
+LOOK: Final = 0.2
+"""Time between two looks at whether the robot is connected, s."""
+
+
+def run_maps(spec: DriveSpec, connection: Connection, others: Sequence[Connection]) -> None:
+    """Main function of the process, until the controller has ended; `others` are ends that it does not need."""
+    for each in others:
+        each.close()
+    leave_signals_to_planner()
+    name_this_process("kraft map")
+    mailbox = Mailbox(connection, "the controller")
+    try:
+        transport = open_transport(spec.robot)
+    except KraftError as error:
+        mailbox.send(MapLink(str(error))).wait(LOOK)
+        return
+    try:
+        receive_maps(spec.robot, spec.task, transport, mailbox.send)
+        told = ""
+        while not mailbox.closed:
+            mailbox.wait(LOOK)  # nothing but the end of the controller
+            if transport.problem != told:
+                told = transport.problem
+                mailbox.send(MapLink(told))
+    finally:
+        transport.close()
+
+
+def receive_maps(robot: Robot, task: Task, transport: Transport, tell: Callable[[MapNews], Any]) -> None:
+    """Subscribe to the maps of a robot; `tell` is called with each of them, from a thread of the transport."""
+    assert robot.map is not None, "only then there are maps"
+    newest: list[OccupancyMap] = []
+
+    def take(message: Any, _: int) -> None:
+        info, frame = message.info, message.header.frame_id.lstrip("/")
+        size = f"{info.width} x {info.height} cells of {info.resolution:g} m"
+        try:
+            if frame != robot.pose.frame:
+                raise ValueError(f"it is in the frame {frame!r}, expected {robot.pose.frame!r}")
+            found = near_bounds(occupancy_map(message), task)
+        except ValueError as error:
+            tell(MapNews(None, size, f"the map of {size} cannot be used: {error}"))
+            return
+        is_new = newest != [found]
+        newest[:] = [found]
+        tell(MapNews(found if is_new else None, size))
+
+    def refuse(why: str) -> None:
+        assert robot.map is not None, "it is subscribed because of it"
+        tell(MapNews(None, "", f"a message on {robot.map.topic} cannot be used as a map: it {why}"))
+
+    transport.subscribe(robot.map.topic, GRID, take, latched=True, refused=refuse)
+
+
+def near_bounds(grid: OccupancyMap, task: Task) -> OccupancyMap:
+    """Part of a map that is used, up to AROUND outside the bounds of a task: it may be that of a building."""
+    (x0, x1), (y0, y1) = task.bounds.x, task.bounds.y
+    return grid.cropped((x0 - AROUND, x1 + AROUND), (y0 - AROUND, y1 + AROUND))
+
+
+def occupancy_map(message: Any) -> OccupancyMap:
+    """Obstacle from an OccupancyGrid, unknown cells occupied.
+
+    Raises:
+        ValueError: with the reason if it cannot be used.
+    """
+    info = message.info
+    origin = info.origin.position.x, info.origin.position.y, yaw_of(info.origin.orientation)
+    cells = np.asarray(message.data, dtype=np.int8)
+    if min(info.width, info.height) < 1 or cells.shape != (info.width * info.height,):
+        raise ValueError(f"its data are {cells.size} cells")
+    if not info.resolution >= RESOLUTION_MIN:  # NaN is none either
+        raise ValueError(f"expected cells of at least {RESOLUTION_MIN:g} m")
+    if not np.isfinite([*origin, info.resolution]).all():
+        raise ValueError("its origin is no pose: ({:g}, {:g}) m, {:g} rad".format(*origin))
+    occupied = (cells >= OCCUPIED) | (cells < 0)
+    grid = occupied.reshape(int(info.height), int(info.width))
+    grid.setflags(write=False)
+    return OccupancyMap(grid, float(info.resolution), origin, name="map")
