@@ -342,7 +342,8 @@ class Control:
 
     def _trouble(self, now: float) -> str:
         """Why the vehicle must not drive now; empty if it may."""
-        return self._foreign or self._inputs.trouble or self._transport.problem or self._health.trouble(now)
+        inputs = self._inputs.trouble or self._tasks.trouble
+        return self._foreign or inputs or self._transport.problem or self._health.trouble(now)
 
     def _may_drive(self, now: float) -> bool:
         """Whether a plan may be adopted: a vehicle that has stopped by itself stands before it drives on."""

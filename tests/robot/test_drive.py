@@ -140,6 +140,17 @@ def test_goal_map_and_other_publishers_change_while_the_car_drives(tmp_path: Pat
     assert any(message.poses for message in shown["contingency"])
 
 
+def test_the_car_stands_while_its_newest_map_cannot_be_used(tmp_path: Path) -> None:
+    with Rig(tmp_path, more="map: {topic: /map}", give_up=30.0) as rig:
+        rig.drive_until(1.0)
+        info = {"resolution": 0.1, "width": 2, "height": 2, "origin": pose_fields(-1.4, -0.9, 0.0)}
+        rig.link.publish("/map", make(GRID, header=header(1, "odom"), info=info, data=[0] * 4))
+        assert rig.stands(6.0)
+        assert rig.until(lambda: any("it is in the frame 'odom', expected 'map'" in event for event in rig.events), 1.0)
+        rig.link.publish("/map", make(GRID, header=header(1, "map"), info=info, data=[0] * 4))
+        assert rig.until(lambda: abs(rig.world.world.speed) > 0.15, 20.0)
+
+
 def test_a_robot_that_is_elsewhere_is_not_moved(tmp_path: Path) -> None:
     with Rig(tmp_path, arguments=("--set", "start.x=0.1", "--set", "start.y=3.5")) as rig:
         out, errors = rig.process.communicate(timeout=120)
