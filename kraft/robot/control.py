@@ -44,6 +44,7 @@ from kraft.robot.protocol import (
     Ended,
     Guarded,
     Guarding,
+    Halting,
     Mailbox,
     Planned,
     PlanRequest,
@@ -72,6 +73,8 @@ STOPPED: Final = 1.0
 """Time for which the vehicle is commanded to stand before the drive ends, s."""
 STANDING: Final = 1.0
 """Time for which a vehicle that has stopped by itself stands before it drives on, s."""
+HALTED: Final = 2.0
+"""Time by the machine's clock for which the vehicle is commanded to stand before a drive without a clock ends, s."""
 STOPPING_MAX: Final = 6.0
 """Longest time in which a vehicle that stops at the end of a drive comes to rest, s."""
 PEERS_PERIOD: Final = 1.0
@@ -200,9 +203,11 @@ class Control:
         number = math.ceil(-LEAD_IN / self.period) + 1
         while True:
             due = number * self.period
-            self._sleep_until(due)
-            now = self._now
-            if self._tick(now, now - due):
+            if self._sleep_until(due):
+                now = self._now
+                if self._tick(now, now - due):
+                    break
+            elif self._is_over_without_time():
                 break
             number = max(number + 1, math.floor(self._now / self.period) + 1)
         self._alive = False
@@ -223,10 +228,37 @@ class Control:
     def _now(self) -> float:
         return self._tracker.now
 
-    def _sleep_until(self, due: float) -> None:
-        left = due - self._now
-        if left > 0.0:
+    def _sleep_until(self, due: float) -> bool:
+        """Sleep until a time of the drive (s); False if its clock stands or has gone back."""
+        while not self._tracker.clock_trouble:
+            left = due - self._now
+            if left <= 0.0:
+                return True
             clock.sleep(self._tracker.wall(left))
+        return False
+
+    def _is_over_without_time(self) -> bool:
+        """Command the vehicle to stand as long as the clock of the drive does not go on; True if the drive is over."""
+        tracker, began, why = self._tracker, clock.monotonic(), self._tracker.clock_trouble
+        now, command = self._last_tick if tracker.clock_is_over else self._now, tracker.halt
+        if now >= 0.0:
+            if self._since_stop is None and self._ending is None:
+                self._on_board.stop(tracker.estimate(now))
+                self._stopped(now, why)
+            self._command(now, command, tracker.estimate(now))
+        self._tell_guard(now, command, ())
+        while trouble := tracker.clock_trouble:
+            self._take_messages(now)
+            waited = clock.monotonic() - began
+            if tracker.clock_is_over or waited > self._spec.robot.watchdog.give_up:
+                self._end(now, "stopped", trouble)
+            if self._ending is not None and waited >= HALTED:
+                return True
+            tracker.publish(now, command)
+            if self._guard.unsent <= UNSENT:
+                self._guard.send(Halting())
+            clock.sleep(self.period)
+        return False
 
     def _tick(self, now: float, late: float) -> bool:
         """One tick of the controller; True if the drive is over."""

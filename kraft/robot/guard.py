@@ -26,7 +26,7 @@ from kraft.robot.priority import (
     prefer_this_process,
     shorten_collections,
 )
-from kraft.robot.protocol import Beat, Begin, DriveSpec, Guarded, Guarding, Mailbox, Ready, Released, StopOrder
+from kraft.robot.protocol import Beat, Begin, DriveSpec, Guarded, Guarding, Halting, Mailbox, Ready, Released, StopOrder
 from kraft.robot.tracker import Tracker, warm_up
 
 SILENCE: Final = 0.03
@@ -74,22 +74,30 @@ class Guard:
         self._period, self._tracker, self._mailbox, self._journal = period, tracker, mailbox, journal
         self._since: float | None = None  # the beginning of its own driving
         self._stood = 0.0
+        self._heard = 0.0  # when the controller told something, by the monotonic clock, s
 
     def run(self) -> None:
         """Watch until the controller releases the guard, or has ended and the vehicle stands."""
         due: float | None = None  # time of the drive when the guard acts, while it has to
         while True:
-            message = self._mailbox.wait(None if due is None else self._tracker.wall(max(0.0, due - self._tracker.now)))
+            message = self._mailbox.wait(None if due is None else self._pause(due))
             if isinstance(message, Released):
                 return
             if isinstance(message, Guarding):
                 self._tracker.start(message.clocks)
             elif isinstance(message, Beat):
                 self._mirror(message)
-                due = message.time + self._period + SILENCE
+                due, self._heard = message.time + self._period + SILENCE, time.monotonic()
+            elif isinstance(message, Halting):
+                self._heard = time.monotonic()
             elif isinstance(message, StopOrder) and (due is None or self._is_done):
                 return  # the controller has ended before the drive, or while the vehicle stood
-            elif message is None:
+            elif message is None and self._tracker.clock_trouble:
+                if self._halt():
+                    if self._mailbox.closed:
+                        return
+                    due = None
+            elif message is None and due is not None and self._tracker.now >= due:
                 now = self._tracker.now
                 self._drive(now)
                 due = now + self._period
@@ -97,6 +105,19 @@ class Guard:
                     if self._mailbox.closed:
                         return
                     due = None  # until the controller goes on
+
+    def _pause(self, due: float) -> float:
+        """How long to wait for a message until another look at the clock, s; `due` is a time of the drive, s."""
+        if self._tracker.clock_trouble:
+            return self._period
+        return self._tracker.wall(max(0.0, due - self._tracker.now))
+
+    def _halt(self) -> bool:
+        """Command the vehicle to stand if the controller does not, while the clock stands; whether that was enough."""
+        silence = time.monotonic() - self._heard
+        if silence > self._period + SILENCE:
+            self._tracker.publish(self._tracker.last_sent, self._tracker.halt)
+        return silence > SILENCE + STANDS
 
     def _mirror(self, beat: Beat) -> None:
         """Do what the controller did."""

@@ -210,6 +210,11 @@ class Guarding:
 
 
 @dataclass(frozen=True)
+class Halting:
+    """The controller commands the vehicle to stand, because the clock of the drive does not go on."""
+
+
+@dataclass(frozen=True)
 class Guarded:
     """A command (nu,) that the brake guard sent at `time` (s) instead of the controller."""
 

@@ -15,6 +15,13 @@ WINDOW: Final = 10_000_000_000
 """Time over which the speed of a simulation is measured, ns."""
 SHORTEST: Final = 200_000_000
 """Shortest such time, ns."""
+STANDS: Final = 500_000_000
+"""Time without a later stamp after which a simulation is paused, ns; GAPS times the usual one if that is more."""
+GAPS: Final = 5
+BACK: Final = 200_000_000
+"""Time by which a stamp is earlier than the last one if another simulation has begun, and not only late, ns."""
+LOOK: Final = 0.05
+"""Longest time to sleep before another look at a clock, s."""
 
 
 class Timebase(Protocol):
@@ -22,6 +29,12 @@ class Timebase(Protocol):
 
     is_running: bool
     """Whether the time is known."""
+    restarts: int
+    """Number of times that it has gone back."""
+
+    @property
+    def stands(self) -> bool:
+        """Whether it does not go on now."""
 
     def at(self, monotonic: int) -> int:
         """Time at a time of the machine's monotonic clock (ns), which transports give to what arrives."""
@@ -33,13 +46,13 @@ class Timebase(Protocol):
         """Stamp of a message that is sent now, ns since 1970 or since the simulation's own zero."""
 
     def wall(self, duration: float) -> float:
-        """How long a duration (s) takes by the machine's clock, s."""
+        """How long a duration (s) takes by the machine's clock at most until another look at this one, s."""
 
 
 class MachineClock:
     """The clock of this machine."""
 
-    is_running = True
+    is_running, restarts, stands = True, 0, False
 
     def at(self, monotonic: int) -> int:
         """The time itself."""
@@ -61,43 +74,75 @@ class MachineClock:
 class TopicClock:
     """Clock of a simulation, from the messages of rosgraph_msgs/Clock on a topic, continued between them.
 
-    Of the messages of the last seconds, those count that came with the least delay.  It never goes back.
+    Of the messages of the last seconds, those count that came with the least delay.  `now` never goes back, unless
+    another simulation begins.  A simulation that is paused sends the same time or none; the clock then stands too.
     """
 
     def __init__(self, transport: Transport, topic: str) -> None:
         self._received: deque[tuple[int, int]] = deque()  # arrival, stamp
         self._lock = threading.Lock()
-        self._speed, self._anchor = 1.0, (0, 0)
-        self._last = 0
-        self.is_running = False
+        self._line = (0, 0, 1.0, 0)  # arrival, stamp, speed, and the arrival up to which it is continued
+        self._last, self._patience = 0, STANDS
+        self.is_running, self.restarts = False, 0
         transport.subscribe(topic, CLOCK, self._take, reliable=False)
 
     def _take(self, message: Any, arrival: int) -> None:
         stamp = nanoseconds_of(message.clock)
         with self._lock:
             received = self._received
-            if received and stamp < received[-1][1]:
-                received.clear()  # another simulation has begun
-                self._last, self.is_running = 0, False
+            if received and stamp <= received[-1][1]:
+                if stamp < received[-1][1] - BACK:
+                    self._restart(arrival, stamp)
+                return  # a pause, or a message that is late
+            paused = self.is_running and arrival - received[-1][0] > self._patience
+            if paused:  # the speed is that from before
+                received.clear()
             received.append((arrival, stamp))
             while arrival - received[0][0] > WINDOW:
                 received.popleft()
-            first, third = received[0], (arrival - received[0][0]) // 3
-            if third < SHORTEST or stamp <= first[1]:
-                return
-            speed = (stamp - first[1]) / (arrival - first[0])
+            if len(received) > 1:
+                self._patience = max(STANDS, GAPS * (arrival - received[0][0]) // (len(received) - 1))
+            if paused:
+                self._line = arrival, stamp, self._line[2], arrival + self._patience
+            elif (line := self._measured(arrival, stamp)) is not None:
+                self._line, self.is_running = (*line, arrival + self._patience), True
+            else:
+                self._line = (*self._line[:3], arrival + self._patience)
 
-            def lead(each: tuple[int, int]) -> float:
-                return (each[1] - stamp) - speed * (each[0] - arrival)
+    def _restart(self, arrival: int, stamp: int) -> None:
+        """Another simulation has begun, whose speed is not known yet."""
+        self._received.clear()
+        self._received.append((arrival, stamp))
+        self._last, self._patience, self.is_running = 0, STANDS, False
+        self.restarts += 1
 
-            old = max((each for each in received if each[0] <= first[0] + third), key=lead)
-            new = max((each for each in received if each[0] >= arrival - third), key=lead)
-            self._speed, self._anchor, self.is_running = (new[1] - old[1]) / (new[0] - old[0]), new, True
+    def _measured(self, arrival: int, stamp: int) -> tuple[int, int, float] | None:
+        """Arrival and stamp of a message of little delay, and the speed, after a message; None if that is too early."""
+        received = self._received
+        first, third = received[0], (arrival - received[0][0]) // 3
+        if third < SHORTEST:
+            return None
+        speed = (stamp - first[1]) / (arrival - first[0])
+
+        def lead(each: tuple[int, int]) -> float:
+            return (each[1] - stamp) - speed * (each[0] - arrival)
+
+        old = max((each for each in received if each[0] <= first[0] + third), key=lead)
+        new = max((each for each in received if each[0] >= arrival - third), key=lead)
+        return (*new, (new[1] - old[1]) / (new[0] - old[0]))
+
+    @property
+    def stands(self) -> bool:
+        """Whether no later time has come for so long that the simulation is paused, or it has not caught up yet."""
+        with self._lock:
+            monotonic = time.monotonic_ns()
+            return self.is_running and (monotonic > self._line[3] or self.at(monotonic) < self._last)
 
     def at(self, monotonic: int) -> int:
-        """Time of the simulation at a time of the monotonic clock, ns."""
-        arrival, stamp = self._anchor
-        return stamp + round(self._speed * (monotonic - arrival))
+        """Time of the simulation at a time of the monotonic clock, ns; it stands where no later time has come."""
+        arrival, stamp, speed, until = self._line
+        end = min(monotonic, until) if self.is_running else monotonic
+        return stamp + round(speed * (end - arrival))
 
     def now(self) -> int:
         """Time of the simulation, ns."""
@@ -113,8 +158,9 @@ class TopicClock:
         return self.now()
 
     def wall(self, duration: float) -> float:
-        """How long a duration of the simulation (s) takes by the machine's clock, s."""
-        return duration / self._speed
+        """How long a duration of the simulation (s) takes by the machine's clock, LOOK at most, s."""
+        speed = self._line[2]
+        return min(duration / speed, LOOK) if speed > 0.0 else LOOK
 
 
 def clock_of(robot: Robot, transport: Transport) -> Timebase:

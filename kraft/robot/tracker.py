@@ -54,7 +54,7 @@ class Tracker:
         self.poses = PoseGuard(robot, self.clocks)
         self._open_loop = np.array(begin.state, dtype=float)  # where the commands lead from the newest observation
         self._last_command, self.last_sent = self.model.rest.copy(), 0.0
-        self.arrived = 0
+        self.arrived = self._restarts = 0
         self._stand = self._stands_after = begin.commitment.reference  # the stop after which the vehicle is kept there
 
     def start(self, clocks: Clocks) -> None:
@@ -62,6 +62,20 @@ class Tracker:
         self.clocks = clocks
         self.poses = PoseGuard(self._spec.robot, clocks)
         self._inputs.take_poses()
+        self._restarts = self._inputs.clock.restarts
+
+    @property
+    def clock_is_over(self) -> bool:
+        """Whether the clock of the drive has gone back since its beginning: another simulation has begun."""
+        return self._inputs.clock.restarts != self._restarts
+
+    @property
+    def clock_trouble(self) -> str:
+        """Why nothing can be timed by the clock of the drive; empty if it goes on."""
+        topic = self._spec.robot.clock.topic if self._spec.robot.clock is not None else ""
+        if self.clock_is_over:
+            return f"the time on {topic} has gone back: another simulation has begun"
+        return f"the time on {topic} stands: the simulation is paused" if self._inputs.clock.stands else ""
 
     @property
     def now(self) -> float:
@@ -69,7 +83,7 @@ class Tracker:
         return self.clocks.of_arrival(self._inputs.clock.now())
 
     def wall(self, duration: float) -> float:
-        """How long a duration (s) takes by the machine's clock, s."""
+        """How long a duration (s) takes by the machine's clock at most until another look at the drive's, s."""
         return self._inputs.clock.wall(duration)
 
     @property
@@ -138,6 +152,15 @@ class Tracker:
             here = manoeuvre_reference(self.model.present_vehicle, 0, np.array([estimate.time]), state[np.newaxis])
             self._stands_after, self._stand = stop, here
         return self._stand
+
+    @property
+    def halt(self) -> Floats:
+        """Command (nu,) to stand, with the wheels as they are, for a time in which nothing can be timed."""
+        command = self.model.rest.copy()
+        for k, name in enumerate(self.model.vehicle.controls):
+            if name == "steering":
+                command[k] = self._last_command[k]
+        return command
 
     def publish(self, now: float, command: Floats) -> None:
         """Send a command to the robot."""
