@@ -15,4 +15,6 @@ class ExitStatus(IntEnum):
     """a dependency or asset is missing"""
     INTERNAL = 70
     """a defect in kraft"""
+    HUNG_UP = 129
     INTERRUPTED = 130
+    TERMINATED = 143

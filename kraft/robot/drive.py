@@ -33,7 +33,7 @@ from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
 from kraft.robot.guard import run_guard
 from kraft.robot.maps import near_bounds, run_maps
-from kraft.robot.priority import preferred_planner, process_context, short_collections, shorten_collections
+from kraft.robot.priority import STOPPING, preferred_planner, process_context, short_collections, shorten_collections
 from kraft.robot.protocol import (
     Begin,
     Checked,
@@ -88,6 +88,8 @@ class DriveResult:
     decisions: Decisions = field(default_factory=Decisions)
     unwritten: tuple[str, ...] = ()
     """why some of its files end before the drive"""
+    signal: int = 0
+    """number of the signal that stopped it, 0 if none did"""
 
 
 def on_the_clock(method: Method) -> Method:
@@ -139,7 +141,8 @@ def drive(
 ) -> DriveResult:
     """Check, and drive until the goal, the time limit, a fault or an interrupt.
 
-    The first SIGINT stops the vehicle and ends the drive with its result, the second ends planner and controller.
+    The first SIGINT, SIGTERM or SIGHUP stops the vehicle and ends the drive with its result, the second ends planner
+    and controller.
 
     Args:
         spec: the drive; its method fulfils `check_method`.
@@ -189,8 +192,9 @@ def _drive_in_processes(spec: DriveSpec, report: tuple[Any, Any, Any, Any], keep
             here.send(message)
 
     try:
-        with preferred_planner(), _interrupts(lambda: send(StopOrder("interrupted")), process):
-            return _drive(spec, here, process, send, report, keep_trees)
+        with preferred_planner(), _interrupts(lambda: send(StopOrder("interrupted")), process) as received:
+            result = _drive(spec, here, process, send, report, keep_trees)
+            return replace(result, signal=received[0] if received else 0)
     finally:
         here.close()
         for each, patience in started:
@@ -369,36 +373,40 @@ def changed(task: Task, goal: tuple[float, float] | None, grid: OccupancyMap | N
 
 
 @contextlib.contextmanager
-def _interrupts(stop: Callable[[], None], process: Any) -> Iterator[None]:
-    """Stop the vehicle at the first SIGINT, also while a kernel computes; end everything at the second.
+def _interrupts(stop: Callable[[], None], process: Any) -> Iterator[list[int]]:
+    """Stop the vehicle at the first signal of STOPPING, also while a kernel computes; end everything at the second.
+
+    The list gets their numbers.  A signal that is ignored already, as SIGHUP with nohup, stays so.
 
     Signals are seen by a thread through a pipe, because Python itself sees them only between two of its instructions.
     """
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield []
         return
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
-    before = signal.signal(signal.SIGINT, lambda *_: None)
+    received = list[int]()
+    heeded = [number for number in STOPPING if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, lambda *_: None) for number in heeded}
     woken = signal.set_wakeup_fd(writer)
 
     def watch() -> None:
-        count = 0
         while (byte := os.read(reader, 1)) and byte[0] != 0:
-            if byte[0] == signal.SIGINT:
-                count += 1
-                if count > 1:
+            if byte[0] in heeded:
+                received.append(byte[0])
+                if len(received) > 1:
                     process.kill()
-                    os._exit(130)
+                    os._exit(128 + byte[0])
                 stop()
 
     watcher = threading.Thread(target=watch, name="interrupts", daemon=True)
     watcher.start()
     try:
-        yield
+        yield received
     finally:
         signal.set_wakeup_fd(woken)
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
         os.write(writer, b"\0")
         watcher.join()
         os.close(reader)

@@ -81,15 +81,15 @@ def _run_in_real_time(terminal: Terminal, request: RunRequest, json: bool) -> Ex
         terminal.json(SCHEMA, realtime_json(run))
     else:
         show_rows(terminal, realtime_table(run), good=success)
-    return driven_status(terminal, run.outcome, run.driven.unwritten)
+    return driven_status(terminal, run.outcome, run.driven.unwritten, run.driven.result.signal)
 
 
-def driven_status(terminal: Terminal, outcome: str, unwritten: Sequence[str]) -> ExitStatus:
-    """Exit code of a drive with an outcome, after a report of what could not be written."""
+def driven_status(terminal: Terminal, outcome: str, unwritten: Sequence[str], signal: int) -> ExitStatus:
+    """Exit code of a drive with an outcome, after a report of what could not be written; `signal` interrupted it."""
     for problem in unwritten:
         terminal.problem(problem)
     if outcome == "interrupted":
-        return ExitStatus.INTERRUPTED
+        return ExitStatus(128 + signal) if signal else ExitStatus.INTERRUPTED
     if unwritten:
         return ExitStatus.INVALID
     return ExitStatus.DONE if outcome == "success" else ExitStatus.NEGATIVE

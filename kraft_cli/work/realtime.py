@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
@@ -16,7 +15,7 @@ from typing import Any, Final
 from kraft.config.overrides import parse_overrides
 from kraft.driving.method import load_method
 from kraft.errors import Code, Defect, InputError, Problems
-from kraft.robot.priority import process_context
+from kraft.robot.priority import leave_signals_to_planner, process_context
 from kraft.robot.robot_file import JOINT_STATE, CommandOutput, Loopback, Robot, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
 from kraft.scenario import load_scenario
@@ -144,7 +143,7 @@ def _received(connection: Connection) -> Any:
 def _simulate(request: WorldRequest, connection: Connection, other: Connection) -> None:
     """Main function of the world's process, until the drive has ended or its process has."""
     other.close()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the drive stops the vehicle first
+    leave_signals_to_planner()  # which stops the vehicle first
 
     def opened(world: RobotWorld) -> None:
         threading.Thread(target=wait_for_end, args=(world,), name="end of the drive", daemon=True).start()

@@ -62,15 +62,23 @@ def test_the_car_reaches_the_goal_and_everything_is_written(tmp_path: Path, tran
     assert {"/plan", "/contingency", "/markers", "/map", "/pose", "/drive", "/tf", "/odometry/filtered"} <= topics
 
 
-def test_the_first_interrupt_stops_the_car_and_writes_the_result(tmp_path: Path) -> None:
-    with Rig(tmp_path) as rig:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_the_first_signal_to_all_processes_stops_the_car_and_writes_the_result(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    """A service manager sends it to the guard too, which has a session of its own."""
+    bag = tmp_path / "drive.mcap"
+    with Rig(tmp_path, arguments=("--bag", str(bag))) as rig:
         rig.drive_until(2.0)
-        os.kill(rig.process.pid, signal.SIGINT)
+        for pid in (rig.pid("control"), rig.pid("guard"), rig.pid("display"), rig.process.pid):
+            os.kill(pid, number)
         assert rig.stands(6.0)
         out, _ = rig.process.communicate(timeout=30)
-        assert rig.process.returncode == 130
+        assert rig.process.returncode == 128 + number
         assert json.loads(out)["outcome"] == "interrupted"
         assert json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))["outcome"] == "interrupted"
+    with bag.open("rb") as file:
+        assert make_reader(file).get_summary() is not None, "the bag is complete"
 
 
 def test_the_second_interrupt_ends_at_once(tmp_path: Path) -> None:
