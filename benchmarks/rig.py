@@ -45,7 +45,7 @@ def free_port() -> int:
 class SpoiltTransport:
     """Transport that hands each message of the robot, and each command to it, to `spoil`; None loses it."""
 
-    problem = ""
+    problem, connections = "", 1
 
     def __init__(self, inner: Transport) -> None:
         self.inner = inner

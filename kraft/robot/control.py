@@ -29,6 +29,7 @@ from kraft.robot.guard import SILENCE
 from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
 from kraft.robot.journal import Journal
+from kraft.robot.peers import PeerWatch
 from kraft.robot.poses import Clocks
 from kraft.robot.priority import (
     leave_signals_to_planner,
@@ -49,6 +50,7 @@ from kraft.robot.protocol import (
     Planned,
     PlanRequest,
     Ready,
+    Reconnected,
     Released,
     Sense,
     Status,
@@ -199,6 +201,7 @@ class Control:
         timebase = self._inputs.clock
         self._tracker.start(Clocks(timebase.stamp() + lead_in, timebase.now() + lead_in, self._inputs.latency))
         self._guard.send(Guarding(self._tracker.clocks))
+        self._peers = PeerWatch(self._transport, self._spec.robot.command.topic)
         threading.Thread(target=self._watch_peers, name="peers", daemon=True).start()
         number = math.ceil(-LEAD_IN / self.period) + 1
         while True:
@@ -318,6 +321,8 @@ class Control:
                 time = min(message.time, now)  # it may have sent one since this tick began
                 if time > self._tracker.last_sent:
                     self._command(time, message.command, Estimate(time, self._tracker.estimate(time).state, 0.0))
+            elif isinstance(message, Reconnected):
+                self._peers.reconnected()
             elif isinstance(message, StopOrder):
                 self._end(now, "stopped", message.reason)
         self._guarded += count
@@ -450,7 +455,7 @@ class Control:
         elif now >= self._spec.timeout:
             self._end(now, "timeout", f"the goal was not reached in {self._spec.timeout:g} s")
         elif self._since_stop is not None and now - self._since_stop > watchdog.give_up:
-            self._end(now, "stopped", self._why)
+            self._end(now, "stopped", self._trouble(now) or self._why)
         elif min(estimate.age, now) > watchdog.give_up:
             self._end(now, "stopped", self._why_blind(estimate))
 
@@ -474,15 +479,11 @@ class Control:
 
     def _watch_peers(self) -> None:
         """Look for a second publisher of commands now and then."""
-        topic = self._spec.robot.command.topic
-        usual = self._transport.peers(topic).publishers or frozenset()  # the brake guard
+        peers = self._peers
         while self._alive:
             clock.sleep(PEERS_PERIOD)
-            there = self._transport.peers(topic).publishers
-            if there is not None and (others := there - usual):
-                self._foreign = f"somebody else publishes commands on {topic} ({', '.join(sorted(others))})"
-            elif there is not None:
-                self._foreign = ""
+            peers.look()
+            self._foreign = peers.foreign
 
 
 def in_goal(goal: Goal, vehicle: Vehicle, state: Floats) -> bool:

@@ -26,7 +26,19 @@ from kraft.robot.priority import (
     prefer_this_process,
     shorten_collections,
 )
-from kraft.robot.protocol import Beat, Begin, DriveSpec, Guarded, Guarding, Halting, Mailbox, Ready, Released, StopOrder
+from kraft.robot.protocol import (
+    Beat,
+    Begin,
+    DriveSpec,
+    Guarded,
+    Guarding,
+    Halting,
+    Mailbox,
+    Ready,
+    Reconnected,
+    Released,
+    StopOrder,
+)
 from kraft.robot.tracker import Tracker, warm_up
 
 SILENCE: Final = 0.03
@@ -74,6 +86,7 @@ class Guard:
         self._period, self._tracker, self._mailbox, self._journal = period, tracker, mailbox, journal
         self._since: float | None = None  # the beginning of its own driving
         self._stood = 0.0
+        self._connections = tracker.connections
         self._heard = 0.0  # when the controller told something, by the monotonic clock, s
 
     def run(self) -> None:
@@ -123,6 +136,9 @@ class Guard:
         """Do what the controller did."""
         tracker = self._tracker
         tracker.drop_poses()  # the controller has them
+        if tracker.connections != self._connections:
+            self._connections = tracker.connections
+            self._mailbox.send(Reconnected())
         self._since, self._stood = None, 0.0
         for observation in beat.observations:
             tracker.observe(observation)

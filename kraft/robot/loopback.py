@@ -42,6 +42,7 @@ class LoopbackNode:
     """Transport within the process: messages are delivered by the thread that publishes them."""
 
     problem: Final = ""
+    connections: Final = 1
 
     def __init__(self, bus: LoopbackBus, name: str) -> None:
         self._bus, self.name = bus, name
@@ -210,7 +211,7 @@ class LoopbackClient:
             raise InputError.of(
                 "transport.socket", problem, "expected the socket of kraft world", Code.NOT_FOUND
             ) from error
-        self.problem = ""
+        self.problem, self.connections = "", 1
         self._path, self._wire = path, Wire(connected)
         self._subscriptions: dict[str, tuple[str, Receive]] = {}
         self._answers: dict[int, Peers] = {}

@@ -203,6 +203,11 @@ class Ready:
 
 
 @dataclass(frozen=True)
+class Reconnected:
+    """The brake guard has connected to the robot again, perhaps by another name."""
+
+
+@dataclass(frozen=True)
 class Guarding:
     """The drive begins: from now on the brake guard watches the controller, by the clocks of the drive."""
 

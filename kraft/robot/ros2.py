@@ -117,7 +117,7 @@ class Ros2Transport:
         except DDSException as error:
             problem = f"DDS cannot join domain {number} ({error})"
             raise InputError.of("transport", problem, "expected a network interface that DDS can use") from error
-        self.problem = ""
+        self.problem, self.connections = "", 1
         self._writers: dict[str, Any] = {}
         self._readers: dict[Any, tuple[Any, str, Receive, Refused | None]] = {}
         self._waitset = WaitSet(self._participant)

@@ -71,7 +71,7 @@ class RosbridgeClient:
         self._numbers = itertools.count()
         self._outbox = Outbox[str, dict[str, Any]]()
         self._lock = threading.Lock()
-        self.problem = ""
+        self.problem, self.connections = "", 1
         try:
             self._socket = self._connect()
         except OSError as error:
@@ -187,6 +187,7 @@ class RosbridgeClient:
                 continue
             with self._lock:
                 self._socket, self.problem = opened, ""
+                self.connections += 1
             for content in self._announced.values():
                 self._outbox.operate(json.dumps(content))
             for topic in self._subscriptions:
@@ -222,6 +223,7 @@ class RosbridgeServer:
     """Transport of a simulated robot: a rosbridge server in this process, which also forwards between its clients."""
 
     problem: Final = ""
+    connections: Final = 1
 
     def __init__(self, settings: Rosbridge) -> None:
         """Listen at the host and port of the address.

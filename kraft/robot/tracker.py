@@ -154,6 +154,11 @@ class Tracker:
         return self._stand
 
     @property
+    def connections(self) -> int:
+        """Number of connections to the robot that were made."""
+        return self._transport.connections
+
+    @property
     def halt(self) -> Floats:
         """Command (nu,) to stand, with the wheels as they are, for a time in which nothing can be timed."""
         command = self.model.rest.copy()

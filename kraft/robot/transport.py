@@ -31,6 +31,10 @@ class Transport(Protocol):
     def problem(self) -> str:
         """Why nothing travels now; empty while messages do."""
 
+    @property
+    def connections(self) -> int:
+        """Number of connections that were made; after another one this program may have another name for its peers."""
+
     def advertise(self, topic: str, kind: str, *, latched: bool = False) -> None:
         """Announce messages of type `kind`; the last one of a latched topic reaches late subscribers too."""
 

@@ -1,0 +1,40 @@
+"""Other publishers of commands, as the transport lists them, told from the processes of the drive."""
+
+from __future__ import annotations
+
+from kraft.robot.transport import Transport
+
+
+class PeerWatch:
+    """Finds a publisher of commands that is none of the drive's own.
+
+    Own clients may have other names after a reconnection; then as many publishers as before are those of the drive.
+    """
+
+    def __init__(self, transport: Transport, topic: str) -> None:
+        """Take the present publishers for those of the drive: the brake guard, and where they are listed, this one."""
+        self._transport, self._topic = transport, topic
+        self._own = transport.peers(topic).publishers or frozenset()
+        self._connections = transport.connections
+        self._renamed = False
+        self.foreign = ""
+        """who else publishes, for people; empty if nobody does"""
+
+    def reconnected(self) -> None:
+        """Note that a process of the drive has connected again."""
+        self._renamed = True
+
+    def look(self) -> None:
+        """Look once; it may wait for an answer of the network."""
+        there = self._transport.peers(self._topic).publishers
+        if self._transport.connections != self._connections:
+            self._connections, self._renamed = self._transport.connections, True
+        if there is None:
+            return
+        if self._renamed and len(there) == len(self._own):
+            self._own, self._renamed = there, False
+        others = there - self._own
+        if self._renamed and len(there) < len(self._own):  # some are not connected again yet
+            others = frozenset()
+        names = ", ".join(sorted(others))
+        self.foreign = f"somebody else publishes commands on {self._topic} ({names})" if others else ""

@@ -1,0 +1,59 @@
+"""Other publishers of commands are told from the processes of the drive, also after a reconnection."""
+
+from __future__ import annotations
+
+from kraft.robot.loopback import LoopbackBus, LoopbackNode
+from kraft.robot.peers import PeerWatch
+from kraft.robot.transport import Peers
+
+
+class Listed(LoopbackNode):
+    """A transport that lists given publishers."""
+
+    def __init__(self, *names: str) -> None:
+        super().__init__(LoopbackBus(), "kraft")
+        self.names: frozenset[str] | None = frozenset(names)
+        self.connections = 1  # type: ignore[misc]
+
+    def peers(self, topic: str) -> Peers:
+        return Peers(self.names, frozenset())
+
+
+def test_own_clients_with_new_names_are_no_others_after_a_reconnection() -> None:
+    transport = Listed("a", "b")
+    watch = PeerWatch(transport, "/drive")
+    transport.connections += 1
+    for names in ((), ("c",), ("c", "d")):
+        transport.names = frozenset(names)
+        watch.look()
+        assert not watch.foreign
+    transport.names = frozenset(("c", "d", "joystick"))
+    watch.look()
+    assert watch.foreign == "somebody else publishes commands on /drive (joystick)"
+    transport.names = frozenset(("c", "d"))
+    watch.look()
+    assert not watch.foreign
+
+
+def test_a_new_publisher_without_a_reconnection_or_besides_it_is_another_one() -> None:
+    transport = Listed("bridge")
+    watch = PeerWatch(transport, "/drive")
+    transport.names = frozenset(("bridge", "joystick"))
+    watch.look()
+    assert "(joystick)" in watch.foreign
+    transport.names = None
+    watch.look()
+    assert "(joystick)" in watch.foreign, "nothing new is known"
+    watch.reconnected()
+    transport.names = frozenset(("bridge", "joystick"))
+    watch.look()
+    assert "(joystick)" in watch.foreign
+
+
+def test_a_guard_that_alone_connects_again_is_no_other() -> None:
+    transport = Listed("a", "b")
+    watch = PeerWatch(transport, "/drive")
+    watch.reconnected()
+    transport.names = frozenset(("a", "c"))
+    watch.look()
+    assert not watch.foreign
