@@ -129,6 +129,16 @@ def _first_hit(task: Task, vehicle: Vehicle, footprint: Footprint, pose: tuple[f
     return "is out of bounds"
 
 
+def footprint_hit(task: Task, vehicle: Vehicle, pose: tuple[float, float, float]) -> str | None:
+    """Phrase with the first collision of the vehicle at a pose (m, m, rad), or that it is outside; None if free."""
+    return _first_hit(task, vehicle, vehicle.footprint, pose)
+
+
+def goal_hit(task: Task, vehicle: Vehicle) -> str | None:
+    """Phrase with what the goal's centre is in, or that it is out of bounds; None if it is free."""
+    return _first_hit(task, vehicle, POINT, (*task.goal.center, 0.0))
+
+
 def check_reachable(task: Task, vehicle: Vehicle) -> float:
     """Check that a path leads from the task's start to its goal; 15 ms for a map of 4 m by 10 m.
 

@@ -10,8 +10,10 @@ from typing import Final
 
 import numpy as np
 
+from kraft.planning.feasibility import footprint_hit
 from kraft.robot.connect import open_transport
 from kraft.robot.inputs import Inputs
+from kraft.robot.maps import with_map
 from kraft.robot.poses import Pose, Received, units_hint
 from kraft.robot.priority import is_preferred
 from kraft.robot.protocol import Check, Checked, DriveSpec
@@ -76,13 +78,13 @@ class Checklist:
         poses, peers = self._listen(is_cancelled)
         checks = [*self._check_poses(poses), *self._check_start(poses, spec.task), *self._check_clock(poses)]
         checks += [self._check_dead_man(), self._check_commands(peers), *self._check_map()]
+        grid = None if self._tasks is None else self._tasks.take_map()
+        checks += [*_check_place(_mean_pose(poses), with_map(spec.task, grid), spec.vehicle)]
         checks += [_check_model(spec.vehicle), _check_priority()]
         if not peers.publishers:
             self._transport.advertise(topic, kind)
             self._wait_for_subscriber(is_cancelled)
-        return Checked(
-            tuple(checks), _mean_pose(poses), _rate(poses), None if self._tasks is None else self._tasks.take_map()
-        )
+        return Checked(tuple(checks), _mean_pose(poses), _rate(poses), grid)
 
     def _listen(self, is_cancelled: Callable[[], bool]) -> tuple[list[Received], Peers]:
         """Poses of a while after the first one, and the peers of the commands."""
@@ -190,6 +192,12 @@ class Checklist:
         if settings is None or self._tasks is None:
             return []
         return [self._tasks.map_check(settings.topic)]
+
+
+def _check_place(pose: Pose | None, task: Task, vehicle: Vehicle) -> list[Check]:
+    """A warning if the vehicle stands in an obstacle of the scenario or of its map, or outside of the bounds."""
+    hit = None if pose is None else footprint_hit(task, vehicle, pose)
+    return [Check("place", "warning", f"where it stands, the vehicle {hit}")] if hit else []
 
 
 def _check_model(vehicle: Vehicle) -> Check:

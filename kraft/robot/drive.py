@@ -32,7 +32,7 @@ from kraft.files import LineFile
 from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
 from kraft.robot.guard import run_guard
-from kraft.robot.maps import near_bounds, run_maps
+from kraft.robot.maps import run_maps, with_map
 from kraft.robot.priority import STOPPING, preferred_planner, process_context, short_collections, shorten_collections
 from kraft.robot.protocol import (
     Begin,
@@ -366,10 +366,7 @@ def changed(task: Task, goal: tuple[float, float] | None, grid: OccupancyMap | N
     """Task with a new goal, and with a new map instead of the last one of the same name."""
     if goal is not None:
         task = replace(task, goal=moved_goal(task.goal, goal))
-    if grid is not None:
-        kept = tuple(each for each in task.obstacles if each.name != grid.name)
-        task = replace(task, obstacles=(*kept, near_bounds(grid, task)))
-    return task
+    return with_map(task, grid)
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ To read a map of millions of cells takes seconds, in which no other thread of a 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any, Final
 
@@ -78,6 +79,14 @@ def receive_maps(robot: Robot, task: Task, transport: Transport, tell: Callable[
         tell(MapNews(None, "", f"a message on {robot.map.topic} cannot be used as a map: it {why}"))
 
     transport.subscribe(robot.map.topic, GRID, take, latched=True, refused=refuse)
+
+
+def with_map(task: Task, grid: OccupancyMap | None) -> Task:
+    """Task with a new map instead of the last one of the same name; the same task without a map."""
+    if grid is None:
+        return task
+    kept = tuple(each for each in task.obstacles if each.name != grid.name)
+    return replace(task, obstacles=(*kept, near_bounds(grid, task)))
 
 
 def near_bounds(grid: OccupancyMap, task: Task) -> OccupancyMap:

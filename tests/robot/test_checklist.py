@@ -207,6 +207,26 @@ def test_the_map_of_the_robot_is_part_of_the_check(frame: str | None, state: str
     assert (found.map is not None) == (state == "ok")
 
 
+@pytest.mark.parametrize(
+    ("x", "cells", "words"),
+    [(START[0], [0, 0], None), (START[0], [0, 100], "is in collision with 'map'"), (-9.0, [0, 0], "is out of bounds")],
+)
+def test_a_car_that_stands_in_an_obstacle_of_its_map_or_outside_of_the_bounds_is_warned_of(
+    x: float, cells: list[int], words: str | None
+) -> None:
+    def send(node: LoopbackNode) -> None:
+        poses(x)(node)
+        info = {"resolution": 0.1, "width": 2, "height": 1, "origin": pose_fields(START[0] - 0.1, START[1], 0)}
+        node.publish("/map", make(GRID, header=header(1, "map"), info=info, data=cells))
+
+    found = checked(send, robot(map={"topic": "/map"}))
+    (place,) = [check for check in found.checks if check.name == "place"] or [None]
+    assert (place is None) == (words is None)
+    if place is not None and words is not None:
+        assert place.state == "warning"
+        assert words in place.detail
+
+
 def test_goals_in_another_frame_are_ignored() -> None:
     bus, described = LoopbackBus(), robot(goal={"topic": "/goal"})
     inputs, node = TaskInputs(described, bus.node("kraft"), None), bus.node("robot")
