@@ -28,7 +28,7 @@ from kraft.robot.connect import open_transport
 from kraft.robot.guard import SILENCE
 from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
-from kraft.robot.journal import Journal
+from kraft.robot.journal import Journal, headings
 from kraft.robot.peers import PeerWatch
 from kraft.robot.poses import Clocks
 from kraft.robot.priority import (
@@ -56,6 +56,7 @@ from kraft.robot.protocol import (
     Status,
     StopOrder,
     TaskChange,
+    TaskTaken,
     moved_goal,
 )
 from kraft.robot.task_inputs import TaskInputs
@@ -151,17 +152,6 @@ def _wait_for_guard(spec: DriveSpec, transport: Transport, guard: Mailbox) -> No
         clock.sleep(0.05)
 
 
-def headings(vehicle: Vehicle) -> dict[str, list[str]]:
-    """Headings of the tables that the controller writes."""
-    return {
-        "steps": ["time", *(f"estimate_{name}" for name in vehicle.state),
-                  *(f"command_{name}" for name in vehicle.controls), "cycle", "stopping", "pose_age",
-                  "late", "work"],
-        "observations": ["time", "arrival", "x", "y", "theta"],
-        "events": ["time", "event"],
-    }  # fmt: skip
-
-
 class Control:
     """One drive of the controller."""
 
@@ -178,7 +168,7 @@ class Control:
         self._planned: deque[Planned] = deque()
         self._observations: list[Observation] = []
         self._commands: list[tuple[float, Floats, Floats]] = []
-        self._in_goal, self._goal = 0, spec.task.goal
+        self._in_goal, self._goal, self._asked = 0, spec.task.goal, 0  # changes that the planner has not answered
         self._ending: tuple[str, str] | None = None
         self._stood = 0.0  # time for which the vehicle has stood at the end of a contingency, s
         self._late = self._missed = self._ticks = self._guarded = self._stops = 0
@@ -287,7 +277,7 @@ class Control:
                 int(self._on_board.is_stopping), f"{estimate.age:.4f}", f"{late:.6f}",
                 f"{self._now - now:.6f}",
             )  # fmt: skip
-        self._take_task()
+        self._take_task(now)
         self._request(now)
         self._report(now, estimate)
         return self._is_over(now, estimate)
@@ -344,6 +334,8 @@ class Control:
                 slowest = HURRY * max(list(self._reply_delays)[-RECENT:])
                 self._lead = min(max(self._settings.lead, slowest), LEAD_MAX * self._settings.cycle)
                 self._planned.append(message)
+            elif isinstance(message, TaskTaken):
+                self._take_answer(now, message)
             elif isinstance(message, StopOrder):
                 self._end(now, "interrupted" if not self._mailbox.closed else "stopped", message.reason)
 
@@ -418,13 +410,22 @@ class Control:
         self._mailbox.send(PlanRequest(now, number, sense, self._on_board.commitment))
         self._next = number + 1
 
-    def _take_task(self) -> None:
+    def _take_task(self, now: float) -> None:
         """Hand a new goal or map to the planner at once: it gets ready for it before it decides the next time."""
         goal, grid = self._tasks.take_goal(), self._tasks.take_map()
-        if goal is not None:
-            self._goal = moved_goal(self._goal, goal)
+        if problem := self._tasks.take_goal_problem():
+            self._event(now, problem)
         if (goal is not None or grid is not None) and not self._mailbox.closed:
+            self._asked += 1
             self._mailbox.send(TaskChange(goal, grid))
+
+    def _take_answer(self, now: float, answer: TaskTaken) -> None:
+        """Take over the goal that the planner has taken; it may have refused one."""
+        self._asked -= 1
+        if answer.goal is not None:
+            self._goal = moved_goal(self._goal, answer.goal)
+        if answer.problem:
+            self._event(now, answer.problem)
 
     def _sensed(self) -> Sense:
         """What was sensed since the last call."""
@@ -447,7 +448,7 @@ class Control:
         return min(self._stood, now - self._ended_at) >= STOPPED or now - self._ended_at > STOPPING_MAX + STOPPED
 
     def _look_for_end(self, now: float, estimate: Estimate) -> None:
-        reached = now > 0.0 and in_goal(self._goal, self._model.vehicle, estimate.state)
+        reached = now > 0.0 and self._asked == 0 and in_goal(self._goal, self._model.vehicle, estimate.state)
         self._in_goal = self._in_goal + 1 if reached else 0
         watchdog = self._spec.robot.watchdog
         if self._in_goal >= GOAL_TICKS:

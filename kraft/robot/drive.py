@@ -29,6 +29,8 @@ from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import model_of
 from kraft.errors import Code, Diagnostic, InputError, KraftError
 from kraft.files import LineFile
+from kraft.planning.feasibility import geodesic_time, goal_hit
+from kraft.planning.workspace import pose_of
 from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
 from kraft.robot.guard import run_guard
@@ -45,6 +47,7 @@ from kraft.robot.protocol import (
     Status,
     StopOrder,
     TaskChange,
+    TaskTaken,
     moved_goal,
 )
 from kraft.robot.tracker import warm_up
@@ -232,7 +235,7 @@ def _drive(
             on_sense(message.sense)
             on_cycle(replace(answer.cycle, tree=tree))
         elif isinstance(message, TaskChange):
-            planner.change(message)
+            send(planner.change(message))
         elif isinstance(message, Status):
             on_status(message)
         elif isinstance(message, Ended):
@@ -349,17 +352,36 @@ class Planner:
         assert self._replanner is not None, "it has begun"
         self._replanner.prepare()
 
-    def change(self, change: TaskChange) -> None:
+    def change(self, change: TaskChange) -> TaskTaken:
         """Decide and plan for a new goal or map from now on.
 
-        What was planned for the next cycle stays; it is checked against the new map before it is committed.
+        What was planned for the next cycle stays; it is checked against the new map before it is committed.  A new goal
+        that cannot be reached is not taken: the last one stays.
         """
         assert self._replanner is not None, "it has begun"
-        self._task = changed(self._task, change.goal, change.map)
+        task, goal = changed(self._task, change.goal, change.map), change.goal
+        if problem := self._goal_problem(task):
+            if goal is not None:
+                x, y = self._task.goal.center
+                problem, goal = f"{problem}: the last one, ({x:g}, {y:g}), stays", None
+            task = changed(self._task, None, change.map)
+        self._task = task
         blocked = self._replanner.blocked if change.map is None else ()  # a new map has it, or it is gone
         self._solvers = Solvers.of(self._task, self._spec.vehicle, self._spec.method.planner, blocked)
         self._solvers.load(self._state)
         self._replanner.set_solvers(self._solvers, blocked)
+        return TaskTaken(goal, problem)
+
+    def _goal_problem(self, task: Task) -> str:
+        """Why the vehicle cannot get to the goal of a task; empty if nothing is known against it."""
+        vehicle, (x, y) = self._spec.vehicle, task.goal.center
+        if hit := goal_hit(task, vehicle):
+            return f"the goal ({x:g}, {y:g}) {hit}"
+        here, there, _ = pose_of(self._state, vehicle)
+        moved = replace(task, start=replace(task.start, x=here, y=there))
+        if math.isinf(geodesic_time(moved, vehicle)):
+            return f"the goal ({x:g}, {y:g}) is unreachable: no path to it is wide enough for the vehicle"
+        return ""
 
 
 def changed(task: Task, goal: tuple[float, float] | None, grid: OccupancyMap | None) -> Task:

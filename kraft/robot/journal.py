@@ -13,6 +13,7 @@ from typing import Any
 
 from kraft.errors import InputError
 from kraft.files import LineFile, unwritable
+from ompl_ext.vehicle import Vehicle
 
 
 class Journal:
@@ -72,3 +73,14 @@ def _line(values: Sequence[Any]) -> bytes:
     text = io.StringIO()
     csv.writer(text, lineterminator="").writerow(values)
     return text.getvalue().encode()
+
+
+def headings(vehicle: Vehicle) -> dict[str, list[str]]:
+    """Headings of the tables that the controller writes."""
+    return {
+        "steps": ["time", *(f"estimate_{name}" for name in vehicle.state),
+                  *(f"command_{name}" for name in vehicle.controls), "cycle", "stopping", "pose_age",
+                  "late", "work"],
+        "observations": ["time", "arrival", "x", "y", "theta"],
+        "events": ["time", "event"],
+    }  # fmt: skip

@@ -114,6 +114,14 @@ class TaskChange:
 
 
 @dataclass(frozen=True)
+class TaskTaken:
+    """Answer to a change: the goal (m) that holds from now on if it is new, and why one cannot be reached."""
+
+    goal: tuple[float, float] | None
+    problem: str = ""
+
+
+@dataclass(frozen=True)
 class MapNews:
     """What the process that receives maps has received: a usable map, as far as it is near the bounds, or a problem.
 

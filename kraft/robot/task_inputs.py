@@ -20,15 +20,24 @@ class TaskInputs:
         self._robot, self._maps = robot, maps
         self._goal: tuple[float, float] | None = None
         self._map: OccupancyMap | None = None
+        self._goal_problem = ""
         self._size = self._map_problem = self._link_problem = ""
         if robot.goal is not None:
-            transport.subscribe(robot.goal.topic, POSE, self._take_goal)
+            transport.subscribe(robot.goal.topic, POSE, self._take_goal, refused=self._refuse_goal)
 
     def _take_goal(self, message: Any, _: int) -> None:
         place = message.pose.position
         frame = message.header.frame_id.lstrip("/")
         if frame == self._robot.pose.frame and math.isfinite(place.x) and math.isfinite(place.y):
             self._goal = float(place.x), float(place.y)
+        else:
+            expected = f"expected numbers in the frame {self._robot.pose.frame!r}"
+            self._goal_problem = (
+                f"the goal ({place.x:g}, {place.y:g}) in the frame {frame!r} cannot be used: {expected}"
+            )
+
+    def _refuse_goal(self, why: str) -> None:
+        self._goal_problem = f"a message cannot be used as a goal: it {why}"
 
     def _take_news(self) -> None:
         """Take what has arrived of the process that receives maps."""
@@ -45,6 +54,11 @@ class TaskInputs:
         """New goal since the last call, m."""
         goal, self._goal = self._goal, None
         return goal
+
+    def take_goal_problem(self) -> str:
+        """Why a goal could not be used since the last call; empty if all could."""
+        problem, self._goal_problem = self._goal_problem, ""
+        return problem
 
     def take_map(self) -> OccupancyMap | None:
         """New map since the last call."""

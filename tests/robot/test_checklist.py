@@ -227,11 +227,14 @@ def test_a_car_that_stands_in_an_obstacle_of_its_map_or_outside_of_the_bounds_is
         assert words in place.detail
 
 
-def test_goals_in_another_frame_are_ignored() -> None:
+def test_a_goal_in_another_frame_is_not_taken_and_the_reason_is_told() -> None:
     bus, described = LoopbackBus(), robot(goal={"topic": "/goal"})
     inputs, node = TaskInputs(described, bus.node("kraft"), None), bus.node("robot")
     node.publish("/goal", make(POSE, header=header(1, "odom"), pose=pose_fields(1, 2, 0)))
     assert inputs.take_goal() is None
+    expected = "expected numbers in the frame 'map'"
+    assert inputs.take_goal_problem() == f"the goal (1, 2) in the frame 'odom' cannot be used: {expected}"
+    assert inputs.take_goal_problem() == ""
     node.publish("/goal", make(POSE, header=header(1, "map"), pose=pose_fields(1, 2, 0)))
     assert inputs.take_goal() == (1.0, 2.0)
     assert inputs.take_goal() is None

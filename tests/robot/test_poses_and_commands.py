@@ -338,6 +338,22 @@ def test_the_planner_identifies_nothing_from_the_time_in_which_something_held_th
     assert left_out == [(0.1, 2.2)]
 
 
+@pytest.mark.slow
+def test_a_goal_that_cannot_be_reached_is_not_taken_and_the_last_one_stays() -> None:
+    task, vehicle = load_scenario("turns").task(), load_vehicle("mushr")
+    planner = Planner(DriveSpec(task, on_the_clock(load_method("adaptive-kraft")), vehicle, robot(), 60.0))
+    planner.begin((task.start.x, task.start.y, task.start.heading))
+    x, y = task.goal.center
+    taken = planner.change(TaskChange((50.0, 2.0), None))
+    assert taken.goal is None
+    assert taken.problem == f"the goal (50, 2) is out of bounds: the last one, ({x:g}, {y:g}), stays"
+    taken = planner.change(TaskChange((x, y), None))
+    assert (taken.goal, taken.problem) == ((x, y), "")
+    wall = OccupancyMap(np.ones((10, 10), bool), 0.1, (x - 0.5, y - 0.5, 0.0), name="map")
+    taken = planner.change(TaskChange(None, wall))
+    assert (taken.goal, taken.problem) == (None, f"the goal ({x:g}, {y:g}) is in collision with 'map'")
+
+
 def test_a_simulation_whose_time_is_less_than_the_machines_runs_and_its_dead_man_is_heard(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
