@@ -76,6 +76,7 @@ class CallbackSearch:
         self._control = ControlLayout(si.getControlSpace())
         self._lane_control = [si.allocControl() for _ in range(settings.blossom)]
         self._states: list[ob.State] = []
+        self._free: list[int] = []  # slots of states that are neither a node's nor a lane's
         self._distance: list[float] = []  # of each state to the goal region, as the goal measures it
         self._is_region = isinstance(goal, ob.GoalRegion)  # the distance alone decides
         self._goal_distance = getattr(goal, "distanceGoal", lambda state: 0.0)  # a goal without a distance
@@ -153,8 +154,11 @@ class CallbackSearch:
         return tree_view(self._tree, states.reshape(size, len(read(self._scratch))))
 
     def clear(self) -> None:
-        """Empty the tree."""
+        """Empty the tree and forget a learned top speed; memory and the generator's state are kept."""
         reset(self._tree, self._tree.random)
+        self._top_speed = self._settings.top_speed
+        self._inserted = 0
+        self._free_unused_states()
 
     def add_root(self, state: ob.State) -> None:
         """Add a start state."""
@@ -186,11 +190,17 @@ class CallbackSearch:
             self._reserve(iterations * EXPLORATION_INSERTIONS)
             self._run(self._no_edges, iterations, stop)
             if self._tree.count[at.FULL] or (self._settings.pruning and self.count(at.ITERATIONS) % PRUNE_EVERY == 0):
-                prune(self._tree, at.COST if self._learns_top_speed else at.F)
-                self._inserted = int(self._tree.count[at.SIZE])
+                self._prune()
                 if self._tree.count[at.SIZE] > 0.9 * self._settings.max_nodes:
                     return
             stopped = bool(self._stop[0]) or bool(stop())
+
+    def _prune(self) -> None:
+        """Prune the tree and free the states of the removed nodes."""
+        self._replace_inserted_states()  # pruning moves the nodes that it has to look at
+        prune(self._tree, at.COST if self._learns_top_speed else at.F)
+        self._inserted = int(self._tree.count[at.SIZE])
+        self._free_unused_states()
 
     def _reserve(self, nodes: int) -> None:
         """Have memory for so many more nodes, as far as `max_nodes` allows."""
@@ -306,12 +316,22 @@ class CallbackSearch:
         self._threshold = self._goal.getThreshold() if hasattr(self._goal, "getThreshold") else 0.0
 
     def _new_state(self) -> int:
+        """Slot of a state that is nobody's: a free one or, if there is none, a new one."""
+        if self._free:
+            return self._free.pop()
         self._states.append(self._si.allocState())
         self._distance.append(0.0)
         return len(self._states) - 1
 
+    def _free_unused_states(self) -> None:
+        """Free every state that is neither a node's nor a lane's."""
+        used = np.zeros(len(self._states), bool)
+        used[self._lane_slot] = True
+        used[self._tree.state[: self.count(at.SIZE), 0].astype(np.int64)] = True
+        self._free = np.flatnonzero(~used).tolist()
+
     def _replace_inserted_states(self) -> None:
-        """Allocate a new state for each lane whose state has become a node's."""
+        """Take another state for each lane whose state has become a node's."""
         size = int(self._tree.count[at.SIZE])
         for slot in self._tree.state[self._inserted : size, 0].tolist():
             if slot in self._lane_slot:
