@@ -7,6 +7,7 @@ back for edges and SAFETY (`ompl_ext.kernels.callback_kernel`).
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -98,6 +99,9 @@ class CallbackSearch:
         self._start = self._scratch
         self._inserted = 0
         self._stop = np.zeros(1, np.int64)  # 1 ends a run of the kernel
+        self._asks_to_stop: Callable[[], bool] = _never
+        self._error: BaseException | None = None  # of a callback, in this run
+        self._callbacks = _callbacks_of(self)
         reset(self._tree, generator(seed))
 
     def _make_problem(self, bounds: Bounds) -> Problem:
@@ -176,7 +180,7 @@ class CallbackSearch:
         """Add the edges of an earlier plan or tree that are valid and safe from the root; returns their number."""
         before = int(self._tree.count[at.SIZE])
         self._reserve(len(parents))
-        self._run(edges_to_retain(parents, controls, durations), 0, lambda: False)
+        self._run(edges_to_retain(parents, controls, durations), 0, _never)
         return int(self._tree.count[at.SIZE]) - before
 
     def grow(self, stop: Callable[[], bool]) -> None:
@@ -208,34 +212,35 @@ class CallbackSearch:
 
     def _run(self, retained: Retained, iterations: int, stop: Callable[[], bool]) -> None:
         """Run the kernel.  Exceptions cannot pass compiled code: the first one ends the run and is raised after it."""
-        errors: list[BaseException] = []
         self._stop[0] = 0
         self._read_threshold()
+        self._asks_to_stop, self._error = stop, None
+        work = callback_kernel.CallbackLanes(*self._work, *self._callbacks, self._stop)
+        try:
+            self._grow(self._tree, self._problem, work, self._q, retained, iterations)
+            if self._error is not None:
+                raise self._error
+        finally:
+            self._asks_to_stop, self._error = _never, None
 
-        def propagate(start_slot: int, lanes: int) -> None:
-            self._work.slack[:lanes] = -1.0  # invalid until propagated
-            try:
-                if not errors:
-                    self._propagate(start_slot, lanes)
-                    self._stop[0] = bool(stop())
-            except BaseException as error:
-                errors.append(error)
-                self._work.slack[:lanes] = -1.0
-                self._stop[0] = 1
+    def _called_to_propagate(self, start_slot: int, lanes: int) -> None:
+        """Propagate a blossom and ask whether to stop (called by the kernel)."""
+        self._work.slack[:lanes] = -1.0  # invalid until propagated
+        try:
+            if self._error is None:
+                self._propagate(start_slot, lanes)
+                self._stop[0] = bool(self._asks_to_stop())
+        except BaseException as error:
+            self._work.slack[:lanes] = -1.0
+            self._error, self._stop[0] = error, 1
 
-        def safe(lane: int, start_time: float) -> int:
-            try:
-                return -1 if errors else self._safe(lane, start_time)
-            except BaseException as error:
-                errors.append(error)
-                self._stop[0] = 1
-                return -1
-
-        callbacks = callback_kernel.PROPAGATE(propagate), callback_kernel.SAFE(safe)
-        work = callback_kernel.CallbackLanes(*self._work, *callbacks, self._stop)
-        self._grow(self._tree, self._problem, work, self._q, retained, iterations)
-        if errors:
-            raise errors[0]
+    def _called_for_safety(self, lane: int, start_time: float) -> int:
+        """0 if an edge passes SAFETY, else -1 (called by the kernel)."""
+        try:
+            return -1 if self._error is not None else self._safe(lane, start_time)
+        except BaseException as error:
+            self._error, self._stop[0] = error, 1
+            return -1
 
     def best(self) -> tuple[int, bool]:
         """Last node of the best plan, -1 without a plan, and whether it is in the goal."""
@@ -254,7 +259,7 @@ class CallbackSearch:
         path.append(self.state_of(node))
         return path, exact
 
-    # The three functions that the kernel calls.
+    # What the kernel calls for.
 
     def _propagate(self, start_slot: int, lanes: int) -> None:
         """Propagate a blossom, each stage for all lanes before the next: its data stay in the processor's caches."""
@@ -337,3 +342,28 @@ class CallbackSearch:
             if slot in self._lane_slot:
                 self._lane_slot[self._lane_slot.index(slot)] = self._new_state()
         self._inserted = size
+
+
+def _never() -> bool:
+    return False
+
+
+def _callbacks_of(search: CallbackSearch) -> tuple[Any, Any]:
+    """Functions of a search that compiled code can call.
+
+    They hold it by a weak reference: numba's cast of a ctypes function to an address makes it refer to itself, so that
+    it, and all that it holds, would stay until the next garbage collection.
+    """
+    me = weakref.ref(search)
+
+    def propagate(start_slot: int, lanes: int) -> None:
+        search = me()
+        assert search is not None  # it runs the kernel
+        search._called_to_propagate(start_slot, lanes)
+
+    def safe(lane: int, start_time: float) -> int:
+        search = me()
+        assert search is not None
+        return search._called_for_safety(lane, start_time)
+
+    return callback_kernel.PROPAGATE(propagate), callback_kernel.SAFE(safe)

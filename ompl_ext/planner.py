@@ -6,6 +6,7 @@ dominance-informed regions, IROS 2018; retainment, SAFETY and the best-heuristic
 
 from __future__ import annotations
 
+import time
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -243,12 +244,29 @@ def _callback_settings(params: ParamSet) -> CallbackSettings:
     )
 
 
-def _condition(limit: Termination, interval: float) -> ob.PlannerTerminationCondition:
-    if isinstance(limit, ob.PlannerTerminationCondition):
-        return limit
+def _condition(limit: Termination, interval: float) -> Callable[[], bool]:
+    """Function that returns whether to stop; it calls that of the user at most every `interval` s, in this thread."""
     if isinstance(limit, int | float):
         return ob.timedPlannerTerminationCondition(float(limit))
-    return ob.PlannerTerminationCondition(limit, interval) if interval > 0 else ob.PlannerTerminationCondition(limit)
+    return _at_intervals(limit, interval) if interval > 0 else limit
+
+
+def _at_intervals(function: Callable[[], bool], interval: float) -> Callable[[], bool]:
+    """Function that calls another one at most every `interval` s, the first time after that, until it returns true.
+
+    OMPL's own class for this calls it in a thread, which its destructor waits for with Python's global lock held: the
+    process may hang, or be aborted where it ends first.
+    """
+    due, stopped = time.monotonic() + interval, False
+
+    def stop() -> bool:
+        nonlocal due, stopped
+        now = time.monotonic()
+        if not stopped and now >= due:
+            due, stopped = now + interval, bool(function())
+        return stopped
+
+    return stop
 
 
 def _fill_planner_data(planner: DIRT | None, data: ob.PlannerData) -> None:
