@@ -66,6 +66,7 @@ class DIRT(ob.Planner):
         self._configuration, self._bounds = configuration, bounds
         self._search: CompiledSearch | CallbackSearch | None = None
         self._search_key: tuple[object, ...] = ()
+        self._query: tuple[object, ...] = ()
         self._cleared = False
         self._retained: _Retained | None = None
         self._clears = 0
@@ -115,7 +116,7 @@ class DIRT(ob.Planner):
         if goal is None:
             ou.OMPL_ERROR("DIRT: there is no goal")
             return status(status.INVALID_GOAL)
-        self._prepare(goal)
+        self._prepare(definition)
         assert self._search is not None
         if not self._add_starts(self._search):
             ou.OMPL_ERROR("DIRT: none of the start states is valid")
@@ -141,7 +142,7 @@ class DIRT(ob.Planner):
         ob.Planner.setup(self)
         definition = self.getProblemDefinition()
         if definition is not None and definition.getGoal() is not None:
-            self._prepare(definition.getGoal())
+            self._prepare(definition)
 
     def tree(self) -> TreeView:
         """Copy of the tree with controls and durations, which OMPL's `PlannerData` cannot carry in Python."""
@@ -176,22 +177,24 @@ class DIRT(ob.Planner):
             search.add_root(state)
         return search.count(at.SIZE) > 0
 
-    def _prepare(self, goal: ob.Goal) -> None:
-        """Make the search for this goal, or restart the existing one after `clear()`.
+    def _prepare(self, definition: ob.ProblemDefinition) -> None:
+        """Make the search for a problem definition with a goal, or restart the existing one after `clear()`.
 
-        With another goal, or another threshold of it, the query is another one: it begins at the starts again.
+        With another definition, another goal, or another threshold of it, the query is another one: it begins at the
+        starts again.  Maps are computed again only for another goal or threshold.
         """
-        si = self.getSpaceInformation()
+        si, goal = self.getSpaceInformation(), definition.getGoal()
         durations = si.getPropagationStepSize(), si.getMinControlDuration(), si.getMaxControlDuration()
-        query = goal, goal.getThreshold() if isinstance(goal, ob.GoalRegion) else 0.0
-        key = (query, si.getStateValidityChecker(), durations, *self._params.getParams().items())
+        target = goal, goal.getThreshold() if isinstance(goal, ob.GoalRegion) else 0.0
+        key = (target, si.getStateValidityChecker(), durations, *self._params.getParams().items())
+        query = definition, target
         if self._search is not None and not self._cleared:
-            if query == self._search_key[0]:
+            if query == self._query:
                 return
             self.getPlannerInputStates().restart()
         if self._cleared:
             self._clears += 1
-        self._cleared = False
+        self._cleared, self._query = False, query
         if isinstance(self._search, CompiledSearch) and key == self._search_key:
             self._search.restart(int(self._params["seed"]) + self._clears)
         else:
