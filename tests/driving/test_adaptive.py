@@ -73,6 +73,14 @@ def squared_errors(settings: Adaptive, share: float, seed: int) -> list[float]:
     return found
 
 
+def test_a_pose_that_is_not_finite_is_refused_and_changes_nothing() -> None:
+    subject = estimator()
+    before = subject.estimate(0.2).state
+    with pytest.raises(InputError, match="nan"):
+        subject.observe(Observation(0.1, 0.1, math.nan, 0.0, 0.0))
+    assert np.array_equal(subject.estimate(0.2).state, before)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
 def test_with_matched_noise_the_covariance_says_how_far_off_the_filter_is(share: float) -> None:
     settings = Adaptive(kind="adaptive", correlated_share=share, **MATCHED)  # type: ignore[arg-type]

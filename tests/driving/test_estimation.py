@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from kraft.driving.estimation.pose_filter import PoseFilter
 from kraft.driving.messages import Observation
 from kraft.driving.method import Filter, Latest
 from kraft.driving.vehicle_model import CarModel
+from kraft.errors import Code, InputError
 from kraft.scenario import Sensing
 from kraft.simulation.camera import MarkerCamera
 from ompl_ext.arrays import Floats
@@ -116,6 +117,22 @@ def test_the_age_is_that_of_the_newest_pose_that_arrived(choice: Latest | Filter
     estimator = make_estimator(choice, car(), START)
     estimator.observe(Observation(0.5, 0.6, 1.0, 0.5, 1.2))
     assert estimator.estimate(0.7).age == pytest.approx(0.2)
+
+
+@BOTH
+@pytest.mark.parametrize("changed", [{"x": math.nan}, {"y": -math.inf}, {"theta": math.nan}, {"time": math.inf}])
+def test_a_pose_that_is_not_finite_is_refused_and_changes_nothing(
+    choice: Latest | Filter, changed: dict[str, float]
+) -> None:
+    ride = Ride.of(car(), 1.0)
+    subject = make_estimator(choice, car(), START)
+    list(ride.replay(subject, noisy(ride, 1)))
+    before = subject.estimate(1.1).state
+    with pytest.raises(InputError) as refused:
+        subject.observe(replace(Observation(1.0, 1.0, 0.0, 0.0, 0.0), **changed))
+    (problem,) = refused.value.diagnostics
+    assert (problem.file, problem.argument, problem.code) == ("observation", True, Code.VALUE)
+    assert np.array_equal(subject.estimate(1.1).state, before)
 
 
 @BOTH

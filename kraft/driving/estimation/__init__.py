@@ -31,7 +31,11 @@ class Estimator(Protocol):
         """Pose with its covariance after the newest observation; None before one, or without a covariance."""
 
     def observe(self, observation: Observation) -> None:
-        """Process a pose that has arrived, in any order of stamps; a repeated pose changes nothing."""
+        """Process a pose that has arrived, in any order of stamps; a repeated pose changes nothing.
+
+        Raises:
+            InputError: the pose is not finite; the estimate is as before.
+        """
 
     def commanded(self, time: float, control: Floats) -> None:
         """Record that `control` (nu,) is sent at `time` (s, ascending) and held until the next one."""

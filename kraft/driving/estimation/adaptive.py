@@ -17,7 +17,7 @@ import numpy as np
 
 from kraft.driving.estimation.camera_model import CameraModel
 from kraft.driving.estimation.correlated_filter import CorrelatedFilter
-from kraft.driving.estimation.dead_reckoning import with_identified_drift
+from kraft.driving.estimation.dead_reckoning import require_finite, with_identified_drift
 from kraft.driving.estimation.drive_history import DRIVE_MAX, DriveHistory, RecordedDrive
 from kraft.driving.estimation.pose_noise import NoiseEstimate
 from kraft.driving.estimation.sliding_window import Identified, SlidingWindow
@@ -143,7 +143,12 @@ class AdaptiveEstimator:
         return self._filter.floor
 
     def observe(self, observation: Observation) -> None:
-        """Process a pose that has arrived, in any order of stamps; a repeated pose changes nothing."""
+        """Process a pose that has arrived, in any order of stamps; a repeated pose changes nothing.
+
+        Raises:
+            InputError: the pose is not finite; the estimate is as before.
+        """
+        require_finite(observation)
         if self._camera is not None:
             observation = self._camera.without_mean(observation)
         self._filter.observe(observation)

@@ -13,6 +13,7 @@ import numpy as np
 from kraft.driving.messages import Estimate, Observation
 from kraft.driving.method import Adaptive, Latest
 from kraft.driving.vehicle_model import VehicleModel
+from kraft.errors import InputError
 from kraft.vehicles import DELAY_MAX
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
@@ -102,6 +103,19 @@ class DeadReckoning:
         return state
 
 
+def require_finite(observation: Observation) -> None:
+    """Refuse a pose that is not a number, which would spoil every later estimate.
+
+    Raises:
+        InputError: a number of it is not finite.
+    """
+    values = observation.time, observation.x, observation.y, observation.theta
+    if not all(map(math.isfinite, values)):
+        time, x, y, theta = values
+        problem = f"x, y, theta at t = {time:.12g} s are {x:.12g}, {y:.12g}, {theta:.12g}"
+        raise InputError.of_argument("observation", problem, "expected finite numbers")
+
+
 class LatestPose:
     """Uses the newest pose without filtering.
 
@@ -121,7 +135,12 @@ class LatestPose:
         self._window_poses: deque[tuple[float, Floats]] = deque()
 
     def observe(self, observation: Observation) -> None:
-        """Predict from this pose on, unless a newer one has arrived before."""
+        """Predict from this pose on, unless a newer one has arrived before.
+
+        Raises:
+            InputError: the pose is not finite; the estimate is as before.
+        """
+        require_finite(observation)
         if observation.time <= self._newest_time or observation.time < self._reckoning.time:
             return
         self._newest_time = observation.time

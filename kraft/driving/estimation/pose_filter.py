@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.estimation.dead_reckoning import DeadReckoning
+from kraft.driving.estimation.dead_reckoning import DeadReckoning, require_finite
 from kraft.driving.messages import Estimate, Observation, PoseBelief
 from kraft.driving.method import Adaptive, Filter
 from kraft.driving.vehicle_model import VehicleModel
@@ -176,7 +176,12 @@ class PoseFilter:
         return PoseBelief(newest.time, newest.mean[self._pose], newest.covariance[self._pose_block])
 
     def observe(self, observation: Observation) -> None:
-        """Process a pose at its stamp; after one that arrives out of order, process the newer ones again."""
+        """Process a pose at its stamp; after one that arrives out of order, process the newer ones again.
+
+        Raises:
+            InputError: the pose is not finite; the estimate is as before.
+        """
+        require_finite(observation)
         k = bisect_right([posterior.time for posterior in self._posteriors], observation.time)
         if k == 0:
             return
