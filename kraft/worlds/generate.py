@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError, Problems, Unreachable, out_of_range
+from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_placement, check_reachable
 from kraft.planning.plan import finds_plan
 from kraft.planning.workspace import start_state
@@ -22,7 +23,18 @@ from kraft.text import counted, suggestion
 from kraft.vehicles.load import load_vehicle
 from kraft.worlds import layouts
 from kraft.worlds.layouts import WALL, Obstacle, track
-from kraft.worlds.world import SENSING, World, Written, above, check_new, reference_of, write_worlds
+from kraft.worlds.world import (
+    SENSING,
+    Log,
+    World,
+    Written,
+    above,
+    check_new,
+    finished,
+    no_log,
+    reference_of,
+    write_worlds,
+)
 from ompl_ext.motion import motion_of
 from ompl_ext.vehicle import Footprint, Vehicle
 
@@ -180,7 +192,14 @@ USUAL: Final = {"posts": "jackal", "track": "f1tenth"}
 
 
 def generate_worlds(
-    kind: str, out: Path, *, seed: int = 0, count: int = 1, vehicle: str | None = None, density: float | None = None
+    kind: str,
+    out: Path,
+    *,
+    seed: int = 0,
+    count: int = 1,
+    vehicle: str | None = None,
+    density: float | None = None,
+    log: Log = no_log,
 ) -> Written:
     """Write random worlds and their suite into the new folder `out`; world k has the seed `seed` + k.
 
@@ -191,6 +210,7 @@ def generate_worlds(
         count: number of worlds, at most `COUNT_MAX`.
         vehicle: vehicle of all worlds; by default a `mushr`, a `jackal` for posts and an `f1tenth` for tracks.
         density: share of the floor that clutter covers.
+        log: gets a message before kernels are compiled, and one for each world that has a plan.
 
     Raises:
         InputError: with every wrong argument: an unknown kind, a number out of range, a vehicle that does not exist, a
@@ -202,7 +222,10 @@ def generate_worlds(
     reference = None if vehicle is None else problems.of(lambda: reference_of(vehicle))
     problems.of(lambda: check_new(out))
     problems.check()
-    worlds = [generate(each, number, reference, density) for each, number in _numbered(kind, seed, count)]
+    worlds: list[World] = []
+    for each, number in _numbered(kind, seed, count):
+        worlds.append(generate(each, number, reference, density, log))
+        log(finished(len(worlds), count, worlds[-1].name))
     description = f"{counted(count, 'world')}: kraft generate {kind} --seed {seed} --count {count}"
     return write_worlds(worlds, out, f"{kind}-{seed}", description)
 
@@ -227,17 +250,20 @@ def _numbered(kind: str, seed: int, count: int) -> Iterator[tuple[str, int]]:
         yield (KINDS[number % len(KINDS)] if kind == MIXED else kind), number
 
 
-def generate(kind: str, seed: int, vehicle: str | None = None, density: float | None = None) -> World:
+def generate(
+    kind: str, seed: int, vehicle: str | None = None, density: float | None = None, log: Log = no_log
+) -> World:
     """Make the world of a kind and a seed: the first layout of the seed that counts.
 
     Its start is free, a path leads to its goal on which the footprint is free in every heading, and the planner finds a
-    plan for the vehicle within `ITERATIONS` iterations.
+    plan for the vehicle within `ITERATIONS` iterations.  `log` gets a message before kernels are compiled.
 
     Raises:
         InputError: if the vehicle cannot be loaded, or after many attempts no layout counts.
     """
     reference = vehicle or USUAL.get(kind, "mushr")
     loaded = load_vehicle(reference)
+    ensure_compiled(loaded, log)
     size = Size.of(loaded)
     wide = replace(loaded, footprint=Footprint(size.diagonal, size.diagonal))
     name, searches = f"{kind}-{seed:03d}", 0

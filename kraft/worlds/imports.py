@@ -30,11 +30,13 @@ from kraft.worlds.world import (
     SENSING,
     Goal,
     Imported,
+    Log,
     Start,
     World,
     Written,
     above,
     check_new,
+    no_log,
     plain_name,
     reference_of,
     write_worlds,
@@ -76,14 +78,14 @@ class Collection:
     imported: tuple[Imported, ...]
 
 
-def import_worlds(request: Request) -> Collection:
+def import_worlds(request: Request, log: Log = no_log) -> Collection:
     """Read the sources and write a scenario for each of their worlds, and a suite; all or nothing.
 
     Raises:
         InputError: with every problem of the arguments and of all sources.
         Unreachable: with every goal that no path leads to.
     """
-    return write_imported(request, read_sources(request))
+    return write_imported(request, read_sources(request), log)
 
 
 def read_sources(request: Request) -> list[Imported]:
@@ -102,8 +104,8 @@ def read_sources(request: Request) -> list[Imported]:
     return [each for each in found if each is not None]
 
 
-def write_imported(request: Request, imported: Sequence[Imported]) -> Collection:
-    """Write a scenario for each world that was read, and a suite; all or nothing.
+def write_imported(request: Request, imported: Sequence[Imported], log: Log = no_log) -> Collection:
+    """Write a scenario for each world that was read, and a suite; all or nothing; `log` as of `write_worlds`.
 
     Raises:
         InputError: with every problem of the worlds.
@@ -112,7 +114,7 @@ def write_imported(request: Request, imported: Sequence[Imported]) -> Collection
     worlds = [each.world for each in imported]
     of = f"{counted(len(worlds), 'world')} imported by kraft import {request.kind}"
     description = LABEL if request.kind == "barn" else of
-    return Collection(write_worlds(worlds, request.out, request.out.name, description), tuple(imported))
+    return Collection(write_worlds(worlds, request.out, request.out.name, description, log), tuple(imported))
 
 
 def _argument_problems(request: Request) -> list[Diagnostic]:

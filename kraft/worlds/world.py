@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from kraft.config.overrides import value_text
 from kraft.config.source import Place
 from kraft.errors import Code, Diagnostic, InputError, Unreachable
 from kraft.files import check_writable, new_folder
+from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_placement, check_reachable
 from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario import Scenario, parse_scenario
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 
+Log: TypeAlias = Callable[[str], None]
+"""Receives the messages for the user."""
 SUITE: Final = "suite.yaml"
 SENSING: Final = {"preset": "planar", "rate_hz": 50}
 DIGITS: Final = 12
@@ -110,8 +113,19 @@ def plain_name(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-_")[:100] or "world"
 
 
-def write_worlds(worlds: Sequence[World], out: Path, suite: str, description: str) -> Written:
+def no_log(_: str) -> None:
+    """Receive a message and ignore it."""
+
+
+def finished(number: int, count: int, name: str) -> str:
+    """Message after world `number` of `count` worlds, counted from 1."""
+    return f"world {number} of {count}: {name}"
+
+
+def write_worlds(worlds: Sequence[World], out: Path, suite: str, description: str, log: Log = no_log) -> Written:
     """Check all worlds and write them and their suite into the new folder `out`, all or nothing.
+
+    `log` gets a message before kernels are compiled, and one for each world that was checked.
 
     Raises:
         InputError: with every problem of the worlds, or if the folder exists or cannot be written.
@@ -124,7 +138,7 @@ def write_worlds(worlds: Sequence[World], out: Path, suite: str, description: st
             for name, content in {**world.files, f"{world.name}.yaml": world.text.encode()}.items():
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 (folder / name).write_bytes(content)
-        _check_all(worlds, out, folder)
+        _check_all(worlds, out, folder, log)
         entries = [f"  - {{name: {world.name}, scenario: {world.name}.yaml}}" for world in worlds]
         heading = [f"name: {value_text(plain_name(suite))}", f"description: {value_text(description)}", "entries:"]
         (folder / SUITE).write_text("\n".join([*heading, *entries]) + "\n", encoding="utf-8")
@@ -150,29 +164,32 @@ def _check_names(worlds: Sequence[World]) -> None:
         raise InputError.of("sources", problem, "expected sources with different names", Code.DUPLICATE)
 
 
-def _check_all(worlds: Sequence[World], out: Path, folder: Path) -> None:
+def _check_all(worlds: Sequence[World], out: Path, folder: Path, log: Log) -> None:
     problems: list[Diagnostic] = []
     enclosed: list[Diagnostic] = []
-    for world in worlds:
+    for number, world in enumerate(worlds, 1):
         try:
-            check(world, out, folder)
+            check(world, out, folder, log)
         except InputError as error:
             problems += error.diagnostics
         except Unreachable as error:
             enclosed += error.diagnostics
+        else:
+            log(finished(number, len(worlds), world.name))
     if problems:
         raise InputError(problems + enclosed)
     if enclosed:
         raise Unreachable(enclosed)
 
 
-def check(world: World, out: Path, folder: Path) -> Scenario:
+def check(world: World, out: Path, folder: Path, log: Log = no_log) -> Scenario:
     """Check that a world is a valid scenario with a free start and a goal that its vehicle may reach.
 
     Args:
         world: the world.
         out: folder that messages name.
         folder: folder in which its files are.
+        log: gets a message before kernels are compiled.
 
     Raises:
         InputError: with every problem, where the source has the value.
@@ -181,6 +198,7 @@ def check(world: World, out: Path, folder: Path) -> Scenario:
     try:
         scenario = parse_scenario(world.text, str(out / f"{world.name}.yaml"), folder)
         vehicle = vehicle_of_task(scenario)
+        ensure_compiled(vehicle, log, heading=scenario.goal.heading is not None)
         check_placement(scenario, vehicle, start_state(scenario, vehicle))
         check_reachable(scenario, vehicle)
     except InputError as error:

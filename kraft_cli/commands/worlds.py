@@ -54,7 +54,7 @@ def import_(
     from kraft_cli.work.worlds import ImportRequest, imported_json, run_import
 
     terminal: Terminal = context.obj
-    found = run_import(ImportRequest(kind, tuple(sources), out, start, goal, vehicle, skip))
+    found = run_import(ImportRequest(kind, tuple(sources), out, start, goal, vehicle, skip), terminal.info)
     for each in found.imported:
         if each.skipped:
             left = ", ".join(f"{number} x {shape}" for shape, number in each.skipped.items())
@@ -91,7 +91,7 @@ def generate(
     from kraft_cli.work.worlds import generated_json
 
     terminal: Terminal = context.obj
-    written = generate_worlds(kind, out, seed=seed, count=count, vehicle=vehicle, density=density)
+    written = generate_worlds(kind, out, seed=seed, count=count, vehicle=vehicle, density=density, log=terminal.info)
     if json:
         terminal.json("kraft.generate/1", generated_json(kind, seed, written))
     else:

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from kraft.errors import Code, InputError, Problems
 from kraft.worlds.imports import Collection, Request, read_sources, write_imported
-from kraft.worlds.world import Written
+from kraft.worlds.world import Log, Written
 
 RADIUS: Final = 0.25
 """Radius of a goal that is given without one, m."""
@@ -28,8 +28,8 @@ class ImportRequest:
     skip: bool = False
 
 
-def run_import(request: ImportRequest) -> Collection:
-    """Read the sources, and write scenarios and a suite.
+def run_import(request: ImportRequest, log: Log) -> Collection:
+    """Read the sources, and write scenarios and a suite; `log` gets the progress.
 
     Raises:
         InputError: with every problem of the options and of the sources.
@@ -44,7 +44,7 @@ def run_import(request: ImportRequest) -> Collection:
     imported = problems.of(lambda: read_sources(resolved))
     problems.check()
     assert imported is not None, "every problem was raised"
-    return write_imported(resolved, imported)
+    return write_imported(resolved, imported, log)
 
 
 def numbers_of(name: str, text: str, form: str) -> tuple[float, float, float]:

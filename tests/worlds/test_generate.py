@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from kraft.vehicles.load import load_vehicle
 from kraft.worlds import layouts
 from kraft.worlds.generate import ITERATIONS, KINDS, MIXED, Size, generate, generate_worlds
 from kraft_cli.main import main
-from ompl_ext.vehicle import Footprint
+from ompl_ext.vehicle import Footprint, Vehicle
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +128,23 @@ def test_the_command_writes_a_suite_and_says_where(tmp_path: Path, capsys: pytes
     obstacles = load_scenario(content["scenarios"][0]["file"]).obstacles
     assert not any(isinstance(obstacle, OccupancyMap) for obstacle in obstacles)
     assert sum(isinstance(obstacle, Box) for obstacle in obstacles) >= 4
+
+
+def test_what_compiles_is_announced_before_the_first_world_and_every_finished_world_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def compiled(vehicle: Vehicle, report: Callable[[str], None]) -> None:
+        report(f"compiling for {vehicle.name}")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("kraft.worlds.generate.ensure_compiled", compiled)
+        assert main(["generate", "mixed", "--seed", "2", "--count", "2", "--out", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().err.splitlines() == [
+        "compiling for mushr",
+        "world 1 of 2: rows-002",
+        "compiling for jackal",
+        "world 2 of 2: posts-003",
+    ]
 
 
 @pytest.mark.parametrize(

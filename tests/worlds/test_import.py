@@ -6,6 +6,7 @@ import gzip
 import json
 import math
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from kraft.evaluation.suite import load_suite
 from kraft.scenario import Box, Circle, Polygon, load_scenario
 from kraft.worlds.imports import OTHERS, Request, import_worlds
 from kraft_cli.main import main
+from ompl_ext.vehicle import Vehicle
 
 CYLINDER = "<cylinder><radius>0.1</radius><length>1</length></cylinder>"
 
@@ -126,6 +128,25 @@ def test_unknown_shapes_are_counted_refused_and_left_out_on_request(tmp_path: Pa
     assert [(code, line) for code, _, line, _ in found] == [(Code.UNKNOWN, 6), (Code.UNKNOWN, 10), (Code.UNKNOWN, 13)]
     out = imported(tmp_path, text, skip=True)
     assert [obstacle.name for obstacle in load_scenario(out / "barn-7.yaml").obstacles] == ["post"]
+
+
+def test_what_the_checks_need_is_compiled_with_a_word_and_every_checked_world_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def compiled(vehicle: Vehicle, report: Callable[[str], None], *, heading: bool) -> None:
+        report(f"compiling for {vehicle.name}, heading {heading}")
+
+    for number in (7, 8):
+        (tmp_path / f"world_{number}.world").write_text(sdf(model("post", CYLINDER)), encoding="utf-8")
+    monkeypatch.setattr("kraft.worlds.world.ensure_compiled", compiled)
+    assert main(["import", "barn", str(tmp_path), "--out", str(tmp_path / "out")]) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "no score" not in line]
+    assert said == [
+        "compiling for jackal, heading False",
+        "world 1 of 2: barn-7",
+        "compiling for jackal, heading False",
+        "world 2 of 2: barn-8",
+    ]
 
 
 def test_an_enclosed_goal_is_a_negative_result_at_the_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
