@@ -171,6 +171,17 @@ def test_a_replay_plays_pauses_steps_and_goes_to_other_trials(tab: Page, driven:
     assert tab.evaluate("location.hash") == ""
 
 
+def test_the_arrows_move_the_slider_that_has_the_focus_by_ticks(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url)
+    times = values_of(driven.drive("kraft", 0)["t"])
+    tab.focus("#replay-time")
+    for key, tick in (("ArrowRight", 1), ("ArrowRight", 2), ("ArrowUp", 3), ("ArrowLeft", 2), ("ArrowDown", 1)):
+        tab.keyboard.press(key)
+        assert float(tab.input_value("#replay-time")) == pytest.approx(times[tick], abs=0.006)
+    tab.keyboard.press("Shift+ArrowRight")
+    tab.wait_for_function("() => document.getElementById('replay-title').textContent.endsWith('seed 1')")
+
+
 def test_a_failed_trial_states_its_cause_and_the_obstacle_it_hit_is_red(tab: Page, driven: Driven) -> None:
     open_trial(tab, driven.url, "oneshot-openloop", 1)
     row = next(row for row in driven.evaluation.rows if row.key == ("turns", "oneshot-openloop", 1))

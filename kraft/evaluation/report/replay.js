@@ -327,7 +327,9 @@ class Player {
 
   onKey(event, onMove) {
     if (event.target === this.speed || event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.key === " " && !(event.target instanceof HTMLInputElement && event.target.type === "checkbox")) this.setPlaying(!this.playing);
+    const along = event.target === this.time && !event.shiftKey ? { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1 }[event.key] : 0;
+    if (along) this.tick(along);
+    else if (event.key === " " && !(event.target instanceof HTMLInputElement && event.target.type === "checkbox")) this.setPlaying(!this.playing);
     else if (event.key === "ArrowLeft") { if (event.shiftKey) onMove(-1); else this.step(-1); }
     else if (event.key === "ArrowRight") { if (event.shiftKey) onMove(1); else this.step(1); }
     else return;
@@ -440,6 +442,15 @@ class Player {
     const times = this.drive.cycleTimes, k = lastUpTo(times, this.now);
     const back = this.now > times[k] + 0.02 ? k : k - 1;
     const to = count < 0 ? back : k + 1;
+    this.seek(to >= times.length ? this.drive.end : times[Math.max(0, to)]);
+  }
+
+  /** Go to the tick of the controller before or after. */
+  tick(count) {
+    if (!this.drive) return;
+    this.setPlaying(false);
+    const times = this.drive.t, k = lastUpTo(times, this.now);
+    const to = count < 0 && this.now > times[k] + 1e-6 ? k : k + count;
     this.seek(to >= times.length ? this.drive.end : times[Math.max(0, to)]);
   }
 
