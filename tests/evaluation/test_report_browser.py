@@ -171,6 +171,19 @@ def test_a_replay_plays_pauses_steps_and_goes_to_other_trials(tab: Page, driven:
     assert tab.evaluate("location.hash") == ""
 
 
+def test_a_replay_ends_when_the_trial_does_with_the_last_pose_that_is_recorded(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url)
+    row = next(row for row in driven.evaluation.rows if row.key == ("turns", "kraft", 0))
+    last = values_of(driven.drive("kraft", 0)["t"])[-1]
+    assert row.t_s is not None
+    assert row.t_s > last + 0.005
+    seek(tab, row.t_s + 1.0)
+    assert tab.inner_text("#replay-clock") == f"{row.t_s:.2f} of {row.t_s:.2f} s"
+    end = car(tab)
+    seek(tab, last)
+    assert car(tab) == end
+
+
 def test_the_arrows_move_the_slider_that_has_the_focus_by_ticks(tab: Page, driven: Driven) -> None:
     open_trial(tab, driven.url)
     times = values_of(driven.drive("kraft", 0)["t"])

@@ -196,7 +196,7 @@ async function openTrial(trial) {
     const text = await stored(trial, "drive");
     if (player.trial !== trial) return;
     if (text === null) { player.refuse(trial.stored ? data.elsewhere : data.unrecorded); return; }
-    const drive = new Drive(await unpacked(text));
+    const drive = new Drive(await unpacked(text), trial.time);
     if (player.trial !== trial) return;
     player.now = 0;
     player.load(drive, document.querySelector(`[data-entry="${CSS.escape(trial.entry.slug)}"] svg.floor`), trial.planning, trial.obstacle);

@@ -72,12 +72,12 @@ function path(points, closed = false) {
   return points.length ? "M" + points.map(([x, y]) => `${x.toFixed(3)} ${y.toFixed(3)}`).join("L") + (closed ? "z" : "") : "";
 }
 
-/** Drive of a trial with its series as lists of numbers. */
+/** Drive of a trial with its series as lists of numbers; `time` is the trial's (s), null if it has none. */
 class Drive {
-  constructor(content) {
+  constructor(content, time) {
     this.footprint = content.footprint;
     this.t = valuesOf(content.t);
-    this.end = this.t.at(-1);
+    this.end = Math.max(this.t.at(-1), time ?? 0); // the trial goes on for a tick after the last sample
     this.pose = rowsOf(content.pose);
     this.speed = valuesOf(content.speed);
     const ahead = valuesOf(content.ahead), errors = rowsOf(content.error);
