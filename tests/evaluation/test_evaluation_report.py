@@ -73,8 +73,10 @@ def test_times_of_commands_and_those_that_came_late_are_on_the_page(monkeypatch:
 
     fake_trials.use(monkeypatch, timed, inline=True)
     run()
-    text = text_of(Tags(Path("out/report.html").read_text(encoding="utf-8")))
-    assert text.count("25.0% late") == len(METHODS)
+    written = Path("out/report.html").read_text(encoding="utf-8")
+    assert written.count('data-label="command, ms, median"') == len(METHODS)
+    text = text_of(Tags(written))
+    assert text.count("5.00 99 %: 40.00 25.0% late") == len(METHODS)
     assert text.count("command 5.00, 99 %: 40.00, 3 late") == 2 * len(METHODS)
 
 

@@ -257,6 +257,8 @@ def test_a_phone_has_no_table_that_is_cut(tab: Page, driven: Driven) -> None:
     labels = "e => getComputedStyle(e, '::before').content"
     cell = tab.locator(".totals-table td[data-label='mean time, s']").first
     assert cell.evaluate(labels) == '"mean time, s"'
+    drawn = tab.locator(".measures td.drawing").first
+    assert drawn.evaluate(labels).startswith('"deviation from the prediction, until ')
     charts = tab.locator("[data-stacked] svg.outcomes").evaluate_all(
         "all => all.map(e => e.getBoundingClientRect().width)"
     )

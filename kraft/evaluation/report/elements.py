@@ -44,12 +44,17 @@ def stacked(table: Element) -> Element:
     heading.set("class", "headings")
     for row in rows:
         for above, cell in zip(heading, row, strict=False):
-            if cell.tag == "td" and above.text:
-                cell.set("data-label", above.text)
+            if cell.tag == "td" and (label := _label(above)):
+                cell.set("data-label", label)
             if cell.tag == "td" and above.find("svg") is not None:
                 cell.set("class", f"{cell.get('class', '')} under-axis".strip())
     table.set("data-stacked", "")
     return table
+
+
+def _label(heading: Element) -> str:
+    """Words of a heading, without those of its drawing."""
+    return ", ".join(text for text in (heading.text, *(small.text for small in heading.iter("small"))) if text)
 
 
 def outcome_legend(failed: bool) -> list[Element]:

@@ -126,7 +126,7 @@ def _table(totals: Sequence[_Total]) -> Element:
         *([element("th", "time / bound", class_="number")] if bounded else []),
         *([element("th", _axis(ratios, [f"{tick:g}" for tick in ratios]))] if bounded else []),
         element("th", "δ(v) kept", class_="number"),
-        *([element("th", "command, ms", element("small", "99 %"), class_="number")] if timed else []),
+        *([element("th", "command, ms", element("small", "median"), class_="number")] if timed else []),
     )
     return element(
         "table",
@@ -163,14 +163,14 @@ def _row(total: _Total, ticks: Sequence[float], ratios: Sequence[float] | None, 
 
 
 def _commands(total: _Total) -> Element:
-    """Cell of the time of a command: the 99 % quantile, the median, and the share that were late."""
+    """Cell of the time of a command: the median, the 99 % quantile, and the share that were late."""
     if not total.commands:
         return element("td", NO_VALUE, class_="number")
     median, most = (decimals(percentile(total.commands, share), 2) for share in (0.5, 0.99))
     late = f"{total.late} of {len(total.commands)} commands took longer than the time between two"
     share = f"{100.0 * total.late / len(total.commands):.1f}% late"
     return element(
-        "td", most, element("small", f"median {median}"), element("small", share), class_="number", title=late
+        "td", median, element("small", f"99\u00a0%: {most}"), element("small", share), class_="number", title=late
     )
 
 
