@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
+from urllib.parse import quote
 
 import numpy as np
 import pytest
@@ -321,6 +322,29 @@ def test_what_blocked_the_car_is_drawn_from_the_cycle_on_that_knows_it(
     assert "1 assumed obstacle where the car was blocked" in tab.inner_text("#replay-cycle")
     entry.click()
     assert not tab.locator("#stage .blocked").is_visible()
+
+
+def test_addresses_may_be_coded_in_any_way_and_a_filter_without_trials_says_so(
+    tab: Page, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
+    vary = {"sensing.rate_hz": [5, 6], "sensing.latency": [0, 0.1]}
+    evaluate(["turns"], METHODS, trials=1, vary=vary, out=tmp_path / "out")
+    url, name = (tmp_path / "out" / "report.html").as_uri(), "turns sensing.rate_hz=5, sensing.latency=0"
+    for address in (name, quote(name, safe="")):
+        tab.goto("about:blank")
+        tab.goto(f"{url}#trial={address}/kraft/0")
+        assert tab.inner_text("#replay-title") == f"{name}, KRAFT, seed 0"
+    for address in ("#100%", "#trial=turns%/kraft/0"):
+        tab.goto("about:blank")
+        tab.goto(url + address)
+        assert tab.locator("#replay").is_visible() == address.startswith("#trial")
+    tab.goto("about:blank")
+    tab.goto(f"{url}#show&method=nosuch&outcome=success")
+    assert tab.inner_text("#trials-alarm") == "No trial here has the method nosuch: the list is not filtered by it."
+    assert tab.input_value("#filter-outcome") == "success"
+    tab.select_option("#filter-method", "kraft")
+    assert not tab.locator("#trials-alarm").is_visible()
 
 
 def test_wrong_links_and_trials_without_a_replay_say_so(tab: Page, driven: Driven, tmp_path: Path) -> None:

@@ -8,6 +8,12 @@ const trials = data.trials.map(([number, entry, method, seed, outcome, obstacle,
   entry: data.entries[entry], method: data.methods[method],
 }));
 const key = (trial) => [trial.entry.name, trial.method.name, trial.seed].map(encodeURIComponent).join("/");
+/** Decoded text of a part of an address; the text itself if it is no code. */
+function decoded(text) {
+  try { return decodeURIComponent(text); } catch { return text; }
+}
+/** Trial of the parts entry/method/seed of an address, however they are coded; undefined without. */
+const trialOf = (address) => byKey.get(address.split("/").map(decoded).map(encodeURIComponent).join("/"));
 const byKey = new Map(trials.map((trial) => [key(trial), trial]));
 
 /* ---- list of trials ---- */
@@ -98,12 +104,28 @@ function setUpList() {
 /** Take the filters of an address such as #show&method=kraft&outcome=collision. */
 function readFilters(hash) {
   const wanted = new URLSearchParams(hash.slice("show".length));
-  for (const name of filters) document.getElementById(`filter-${name}`).value = wanted.get(name) ?? "";
+  const missing = [];
+  for (const name of filters) {
+    const select = document.getElementById(`filter-${name}`), value = wanted.get(name) ?? "";
+    select.value = value;
+    if (select.selectedIndex >= 0) continue;
+    select.value = "";
+    missing.push(`${name} ${value}`);
+  }
   list.shown = LISTED;
   showList();
+  say(missing.length ? `No trial here has the ${missing.join(", the ")}: the list is not filtered by it.` : "");
+}
+
+/** Show a message above the list; none if it is empty. */
+function say(text) {
+  const alarm = document.getElementById("trials-alarm");
+  alarm.textContent = text;
+  alarm.hidden = !text;
 }
 
 function writeFilters() {
+  say("");
   const chosen = new URLSearchParams();
   for (const name of filters) {
     const value = document.getElementById(`filter-${name}`).value;
@@ -210,11 +232,11 @@ async function openTrial(trial) {
 function route() {
   const hash = location.hash.slice(1);
   if (hash.startsWith("trial=")) {
-    const trial = byKey.get(hash.slice("trial=".length));
+    const address = hash.slice("trial=".length), trial = trialOf(address);
     if (trial) openTrial(trial);
     else {
       player.trial = null;
-      player.open({ title: "No such trial", outcome: decodeURIComponent(hash.slice("trial=".length)), look: "missing" });
+      player.open({ title: "No such trial", outcome: decoded(address), look: "missing" });
       player.refuse("The link is of a trial that this evaluation does not have, or has not run yet.");
     }
     return;
@@ -226,7 +248,7 @@ function route() {
     document.getElementById("trials").scrollIntoView();
     return;
   }
-  const target = document.getElementById(decodeURIComponent(hash)), entry = target?.closest("details.entry");
+  const target = document.getElementById(decoded(hash)), entry = target?.closest("details.entry");
   if (entry && !entry.open) { entry.open = true; target.scrollIntoView(); } // browsers open it only when a link is followed
 }
 
