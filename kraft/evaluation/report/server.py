@@ -15,6 +15,8 @@ from kraft.evaluation.report.results import CommandLine, Results, read_results
 
 ADDRESS: Final = "127.0.0.1"
 PARTS: Final = ("drive", "trees")
+DIGITS: Final = 12
+"""Most digits of the number of a trial: Python refuses to read numbers of thousands of digits."""
 
 
 class ReportServer(ThreadingHTTPServer):
@@ -71,7 +73,7 @@ class _Handler(BaseHTTPRequestHandler):
         match self.path.split("?")[0].strip("/").split("/"):
             case [""]:
                 self._page()
-            case ["replay", number, part] if number.isdecimal() and part in PARTS:
+            case ["replay", number, part] if number.isdecimal() and len(number) <= DIGITS and part in PARTS:
                 self._replay(int(number), part)
             case _:
                 self.send_error(HTTPStatus.NOT_FOUND)
