@@ -239,6 +239,18 @@ def test_no_window_hides_a_column_without_saying_so(tab: Page, driven: Driven, w
     assert tab.evaluate("document.querySelector('#replay').scrollWidth") <= width
 
 
+def test_a_window_of_1100_pixels_shows_all_columns_of_two_methods(tab: Page, driven: Driven) -> None:
+    tab.set_viewport_size({"width": 1100, "height": 800})
+    tab.goto(driven.url)
+    tab.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true; })")
+    widths = "[...document.querySelectorAll('.wide')].map(b => [b.scrollWidth, b.clientWidth])"
+    assert all(needed <= shown + 1 for needed, shown in tab.evaluate(widths))
+    ends = tab.locator(".tables td:nth-child(3)").first
+    assert ends.locator("small").last.evaluate("e => e.textContent").startswith("paper 27\u00a0/\u00a03")
+    heights = "e => e.getBoundingClientRect().height / parseFloat(getComputedStyle(e).lineHeight)"
+    assert ends.locator("small").last.evaluate(heights) < 1.5
+
+
 def test_a_page_of_paper_holds_every_table_and_the_overview_has_its_words(tab: Page, driven: Driven) -> None:
     tab.goto(driven.url)
     tab.emulate_media(media="print")

@@ -30,7 +30,7 @@ from kraft.evaluation.report.methods import Shown, measures_table, methods
 from kraft.evaluation.report.overview import causes, chip, overview, settings_of
 from kraft.evaluation.report.results import VERSIONS, Results
 from kraft.evaluation.report.sweeps import sweep_pictures, sweeps
-from kraft.evaluation.summary import MANY, Result
+from kraft.evaluation.summary import MANY, PaperRow, Result
 from kraft.text import counted, decimals
 
 LISTED: Final = 200  # unsuccessful trials of a scenario that are listed
@@ -219,11 +219,10 @@ def _row(results: Results, result: Result, longest: float) -> Element:
     rows = results.of_cell(result.entry, result.method)
     commands = {row.seed: results.command(row) for row in rows}
     paper = result.paper
-    beside = f"paper {paper.success} / {paper.collision} / {paper.timeout}" if paper else None
+    beside = f"paper {_ends(paper)}" if paper else None
     beside_time = f"paper {paper.t_ex:.1f}" if paper and paper.t_ex is not None else None
     low, high = result.interval
-    counts = f"{result.success} / {result.collision} / {result.timeout}"
-    counts += f", {result.failed} failed" if result.failed else ""
+    counts = f"{_ends(result)}, {result.failed} failed" if result.failed else _ends(result)
     return element(
         "tr",
         element("th", result.title, scope="row"),
@@ -233,7 +232,7 @@ def _row(results: Results, result: Result, longest: float) -> Element:
             trials_chart(rows, results.manifest.seeds, commands, trial_link),
             class_="drawing",
         ),
-        element("td", counts, element("small", f"{low:.0%} to {high:.0%}"), _small(beside)),
+        element("td", counts, element("small", f"{low:.0%} to\u00a0{high:.0%}"), _small(beside)),
         element("td", times_chart(result, rows, longest), class_="drawing"),
         element("td", decimals(result.t_ex, 2, NO_VALUE), _small(beside_time), class_="number"),
         element("td", f"{result.against.p:.2g}" if result.against else NO_VALUE, class_="number"),
@@ -243,15 +242,22 @@ def _row(results: Results, result: Result, longest: float) -> Element:
     )
 
 
+def _ends(counts: Result | PaperRow) -> str:
+    """Numbers of successes, collisions and timeouts, which stay in one line."""
+    return f"{counts.success} / {counts.collision} / {counts.timeout}".replace(" ", "\u00a0")
+
+
 def _planning_times(results: Results, result: Result) -> Iterator[str | Element]:
     """Times of planning and, except in older evaluations, of the controller's commands."""
     yield decimals(result.planning_p50, 1, NO_VALUE)
     missed = f", {result.missed} missed" if results.summary.realtime else ""
-    yield element("small", f"99\u00a0%: {decimals(result.planning_p99, 1, NO_VALUE)}{missed}")
-    yield element("small", f"first plan {decimals(result.first_plan_p50, 1, NO_VALUE)}")
+    yield element("small", f"99\u00a0%:\u00a0{decimals(result.planning_p99, 1, NO_VALUE)}{missed}")
+    yield element("small", f"first\u00a0plan {decimals(result.first_plan_p50, 1, NO_VALUE)}")
     if result.command_p50 is not None:
         late = f", {result.late_commands} late" if result.late_commands else ""
-        yield element("small", f"command {result.command_p50:.2f}, 99\u00a0%: {decimals(result.command_p99, 2)}{late}")
+        yield element(
+            "small", f"command\u00a0{result.command_p50:.2f}, 99\u00a0%:\u00a0{decimals(result.command_p99, 2)}{late}"
+        )
 
 
 def _small(text: str | None) -> Element | None:
