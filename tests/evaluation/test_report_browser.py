@@ -251,6 +251,19 @@ def test_a_window_of_1100_pixels_shows_all_columns_of_two_methods(tab: Page, dri
     assert ends.locator("small").last.evaluate(heights) < 1.5
 
 
+def test_the_overview_of_many_entries_has_the_whole_settings_of_each(
+    tab: Page, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
+    evaluate(suite="hard", methods=METHODS, trials=1, out=tmp_path / "out")
+    tab.set_viewport_size({"width": 1100, "height": 800})
+    tab.goto((tmp_path / "out" / "report.html").as_uri())
+    cut = "all => all.filter(e => e.scrollWidth > e.clientWidth || e.scrollHeight > e.clientHeight).length"
+    settings = tab.locator(".overview.many th small")
+    assert settings.count() == 30
+    assert settings.evaluate_all(cut) == 0
+
+
 def test_a_page_of_paper_holds_every_table_and_the_overview_has_its_words(tab: Page, driven: Driven) -> None:
     tab.goto(driven.url)
     tab.emulate_media(media="print")
