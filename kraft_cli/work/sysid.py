@@ -162,7 +162,7 @@ def run_sysid(
     try:
         if auto or has_terms(base.definition):  # before drives that a constant does not explain are taken for two cars
             check_controls(split.fitted, SteeringInMotion.of(split.fitted))
-        check_consistency((*split.fitted, *split.held_out))  # one of two cars may have a single log in either part
+        check_consistency(split.fitted)
         left_out = unexplained_stretches((*split.fitted, *split.held_out))
         for stretch in left_out:
             info(f"left out, because no model explains it: {stretch}")

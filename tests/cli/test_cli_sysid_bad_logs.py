@@ -90,20 +90,6 @@ def test_two_cars_in_one_folder_are_told_apart(folder: Path, capsys: pytest.Capt
     assert not (folder / "my.yaml").exists()
 
 
-def test_two_cars_are_told_apart_where_a_log_of_one_is_held_out(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Of four logs two would be left of one car, which is no group."""
-    runs = sorted(run.name for run in (folder / "logs").iterdir() if run.is_dir())
-    turning = [run for run in runs if run not in ("run_01", "run_06")][:4]
-    for run in turning[::2]:
-        rewrite(folder / "logs" / run, "commands.csv", lambda c: c * [1.0, 1.0, 0.5])
-    assert main(["sysid", *(f"logs/{run}" for run in turning), "--model", "mushr-lag"]) == 1
-    err = said(capsys)
-    assert any("1 of 4 logs held out" in line for line in err)
-    assert any("fall into two groups" in line for line in err)
-
-
 def test_logs_that_turn_to_one_side_are_warned_of(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for run in FOUR:
         rewrite(folder / run, "commands.csv", lambda c: np.column_stack([c[:, :2], 0.2 + 0.1 * np.sin(c[:, 0])]))
