@@ -84,9 +84,7 @@ class CommandLoss:
         for share in SHARES:
             controls, durations, slowed = _slowed_edges(plan, self._driven, share, cycle, dirt.settings.longest)
             dirt.start(root, seed)
-            dirt.retain_edges(np.arange(len(durations)) - 1, controls, durations, optimised=True)
-            missing = np.flatnonzero(dirt.retained_nodes < 0)
-            retained = int(missing[0]) if len(missing) else len(durations)
+            retained = dirt.retain_edges(np.arange(len(durations)) - 1, controls, durations, optimised=True)
             if retained >= slowed:
                 yield dirt.plan_to(int(dirt.retained_nodes[retained - 1]))
 

@@ -273,14 +273,18 @@ class Proposer:
     def _holds(self, query: _Query, number: int) -> bool:
         """Whether the whole rest of the last plan can be retained at a level, at no higher cost."""
         dirt, rest = self._levels.set(number, eased=False), query.rest
-        if rest is None or dirt.start(query.root, self._seed_of(query)) < 0.0 or self._slack(dirt, query.root) < 0.0:
+        if (
+            rest is None
+            or dirt.start(query.root, self._seed_of(query.number)) < 0.0
+            or self._slack(dirt, query.root) < 0.0
+        ):
             return False
         if rest.edges is not None:
-            start_with_best_corrections(dirt, query.root, rest, self._seed_of(query), PROBES)
+            start_with_best_corrections(dirt, query.root, rest, self._seed_of(query.number), PROBES)
         return retain(dirt, query.root, rest) is PlanLoss.NONE
 
-    def _seed_of(self, query: _Query) -> int:
-        return self._seed * 100_003 + query.number
+    def _seed_of(self, number: int) -> int:
+        return self._seed * 100_003 + number
 
     def _propose_geodesic(self, root: Floats, drives: bool) -> Proposal:
         """Path of least cost-to-go; a vehicle that stopped (not `drives`) or does not get on keeps less of the bound.
@@ -369,14 +373,14 @@ class Proposer:
     ) -> Proposal:
         """Alg. 1 from the predicted root, starting with the remainder of the plan that is being executed."""
         root, rest = query.root, query.rest
-        if dirt.start(root, self._seed_of(query)) < 0.0:
+        if dirt.start(root, self._seed_of(query.number)) < 0.0:
             return Proposal(None, "the predicted start of the cycle is in collision or too near to an obstacle")
         if self._slack(dirt, root) < 0.0:
             return Proposal(None, "the predicted start of the cycle lacks clearance")
         lost = PlanLoss.NONE
         if rest is not None:
             if rest.edges is not None:
-                start_with_best_corrections(dirt, root, rest, self._seed_of(query), attempts)
+                start_with_best_corrections(dirt, root, rest, self._seed_of(query.number), attempts)
             lost = retain(dirt, root, rest)  # ll. 1-8
         kept = None if rest is None or self._settings.switch_gain == 0.0 else retained_plan(dirt, rest)
         progress = self._budget.grow(dirt, query.left, share, is_last)
@@ -424,7 +428,7 @@ class Proposer:
         """
         if self.loss is None:
             return
-        for each in self.loss.slower(plan, root, self._settings.cycle, self._seed * 100_003 + number):
+        for each in self.loss.slower(plan, root, self._settings.cycle, self._seed_of(number)):
             self._verify(number, self.dirt, each)
             self._grown = self._grown_of(self.dirt, each)
             yield each

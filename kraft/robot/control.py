@@ -178,7 +178,7 @@ class Control:
         self._requested = self._ended_at = 0.0
         self._next = 0
         self._next_status = 0.0
-        self._foreign = self._why = ""
+        self._why = ""
         self._since_stop: float | None = None
         self._told: Commitment | None = None  # what the brake guard knows to be on board
         self._learned: Learned | None = None
@@ -372,7 +372,7 @@ class Control:
     def _trouble(self, now: float) -> str:
         """Why the vehicle must not drive now; empty if it may."""
         inputs = self._inputs.trouble or self._tasks.trouble
-        return self._foreign or inputs or self._transport.problem or self._health.trouble(now)
+        return self._peers.foreign or inputs or self._transport.problem or self._health.trouble(now)
 
     def _may_drive(self, now: float) -> bool:
         """Whether a plan may be adopted: a vehicle that has stopped by itself stands before it drives on."""
@@ -480,11 +480,9 @@ class Control:
 
     def _watch_peers(self) -> None:
         """Look for a second publisher of commands now and then."""
-        peers = self._peers
         while self._alive:
             clock.sleep(PEERS_PERIOD)
-            peers.look()
-            self._foreign = peers.foreign
+            self._peers.look()
 
 
 def in_goal(goal: Goal, vehicle: Vehicle, state: Floats) -> bool:

@@ -32,7 +32,7 @@ from ompl_ext.planner import DIRT
 from ompl_ext.problem import pose_cost_to_go_of
 from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.solver import DirtSolver
-from ompl_ext.system import PlanarGoal, SimpleSetup, sampling_range, simple_setup
+from ompl_ext.system import SimpleSetup, sampling_range, simple_setup
 from ompl_ext.validity import SafetyValidityChecker
 
 ou.setLogLevel(ou.LOG_NONE)
@@ -95,26 +95,6 @@ def test_equal_seeds_give_equal_trees_whenever_the_clock_is_looked_at() -> None:
             setup.solve(0.001)
         trees.append(planner.tree())
     assert np.array_equal(trees[0].states[:1000], trees[1].states[:1000])
-
-
-def test_every_kind_of_termination_condition_ends_solve() -> None:
-    setup = arena()
-    planner = planned(setup, 0.01)
-    assert planner.solve(0.01) == STATUS.EXACT_SOLUTION
-    assert planner.solve(ob.timedPlannerTerminationCondition(0.01)) == STATUS.EXACT_SOLUTION
-    asked: list[int] = []
-    assert planner.solve(lambda: bool(asked) or asked.append(1) is not None) == STATUS.EXACT_SOLUTION
-
-
-def test_an_exhausted_budget_is_a_timeout_or_an_approximate_solution() -> None:
-    setup = arena(goal=(3.5, 0.5))
-    planner = DIRT(setup.getSpaceInformation(), child_extension=False, blossom=4)
-    setup.setPlanner(planner)
-    setup.setup()
-    assert planner.solve(ob.plannerAlwaysTerminatingCondition()) == STATUS.TIMEOUT
-    calls = iter([False, True, True, True])
-    assert planner.solve(lambda: next(calls)) == STATUS.APPROXIMATE_SOLUTION
-    assert setup.getProblemDefinition().getSolutionDifference() > 0.25
 
 
 def test_starts_in_collision_are_an_invalid_start() -> None:
@@ -461,46 +441,6 @@ def test_a_heading_and_limits_hold_where_the_path_ends(callbacks: bool) -> None:
     path = setup.getSolutionPath()
     end = path.getState(path.getStateCount() - 1)
     assert goal.contains(BENCHMARK, np.array([end[k] for k in range(4)]))
-
-
-@pytest.mark.parametrize("callbacks", [False, True])
-def test_another_goal_begins_another_query_without_clear(callbacks: bool) -> None:
-    workspace = Workspace(((0.0, 5.0), (0.0, 5.0)), (box((2.5, 2.0), (1.0, 3.0)),))
-    setup = simple_setup(UNICYCLE2, workspace, start=np.array([0.5, 0.5, 0, 0, 0]), goal=Goal((4.5, 0.5), 0.4))
-    si = setup.getSpaceInformation()
-    setup.setPlanner(DIRT(si, use_callbacks=callbacks))
-    for goal in (Goal((4.5, 0.5), 0.4), Goal((0.5, 4.5), 0.4)):
-        setup.getProblemDefinition().clearSolutionPaths()
-        region = PlanarGoal(si, UNICYCLE2, goal)
-        setup.setGoal(region)
-        assert setup.solve(2.0)
-        path = setup.getSolutionPath()
-        first, last = path.getState(0), path.getState(path.getStateCount() - 1)
-        assert (first[0], first[1]) == (0.5, 0.5)
-        assert setup.haveExactSolutionPath() == bool(region.isSatisfied(last))
-        assert math.dist((last[0], last[1]), goal.center) < 1.5
-
-
-def test_the_threshold_of_a_goal_and_a_new_propagation_step_hold() -> None:
-    workspace = Workspace(((0.0, 5.0), (0.0, 5.0)))
-    setup = simple_setup(UNICYCLE2, workspace, start=np.array([0.5, 0.5, 0, 0, 0]), goal=Goal((4.0, 0.5), 0.4))
-    si, goal = setup.getSpaceInformation(), setup.getGoal()
-    planner = DIRT(si)
-    setup.setPlanner(planner)
-    assert setup.solve(0.3)
-    goal.setThreshold(0.05)
-    setup.getProblemDefinition().clearSolutionPaths()
-    assert setup.solve(0.5)
-    path = setup.getSolutionPath()
-    assert setup.haveExactSolutionPath() == bool(goal.isSatisfied(path.getState(path.getStateCount() - 1)))
-    si.setPropagationStepSize(0.2)
-    si.setMinMaxControlDuration(1, 3)
-    setup.clear()
-    assert setup.solve(0.3)
-    path = setup.getSolutionPath()
-    durations = [path.getControlDuration(k) for k in range(path.getControlCount())]
-    assert all(0.0 < duration <= 0.6 + 1e-9 for duration in durations)
-    assert path.check()
 
 
 def test_of_a_tree_with_several_starts_the_first_ones_is_retained() -> None:

@@ -8,12 +8,14 @@ import weakref
 from collections.abc import Iterator
 
 import pytest
+from ompl import base as ob
 from ompl import util as ou
-from support.ompl_setup import arena
+from support.ompl_setup import arena, planned
 
 from ompl_ext.planner import DIRT
 
 ou.setLogLevel(ou.LOG_NONE)
+STATUS = ob.PlannerStatus
 CALLBACKS = pytest.mark.parametrize("callbacks", [False, True])
 
 
@@ -61,3 +63,23 @@ def test_neither_the_condition_nor_the_search_is_held_after_it_is_dropped(callba
     assert dropped() is None
     planner._search = None
     assert search() is None
+
+
+def test_every_kind_of_termination_condition_ends_solve() -> None:
+    setup = arena()
+    planner = planned(setup, 0.01)
+    assert planner.solve(0.01) == STATUS.EXACT_SOLUTION
+    assert planner.solve(ob.timedPlannerTerminationCondition(0.01)) == STATUS.EXACT_SOLUTION
+    asked: list[int] = []
+    assert planner.solve(lambda: bool(asked) or asked.append(1) is not None) == STATUS.EXACT_SOLUTION
+
+
+def test_an_exhausted_budget_is_a_timeout_or_an_approximate_solution() -> None:
+    setup = arena(goal=(3.5, 0.5))
+    planner = DIRT(setup.getSpaceInformation(), child_extension=False, blossom=4)
+    setup.setPlanner(planner)
+    setup.setup()
+    assert planner.solve(ob.plannerAlwaysTerminatingCondition()) == STATUS.TIMEOUT
+    calls = iter([False, True, True, True])
+    assert planner.solve(lambda: next(calls)) == STATUS.APPROXIMATE_SOLUTION
+    assert setup.getProblemDefinition().getSolutionDifference() > 0.25
