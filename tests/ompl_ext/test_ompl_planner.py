@@ -60,10 +60,11 @@ def test_solve_again_continues_and_never_gets_worse(callbacks: bool) -> None:
 
 def test_clear_forgets_the_tree_and_takes_the_next_seed() -> None:
     setup = arena()
-    planner = planned(setup, 0.02)
+    planner = planned(setup, 500)
     first = planner.tree().controls[1:50]
     setup.clear()
-    setup.solve(0.02)
+    while planner.iterations < 500:
+        setup.solve(0.01)
     assert planner.tree().costs[0] == 0.0
     assert not np.array_equal(planner.tree().controls[1:50], first)
 
@@ -72,7 +73,7 @@ def test_clear_forgets_the_tree_and_takes_the_next_seed() -> None:
 @pytest.mark.parametrize("cleared", ["setup", "planner"])
 def test_after_clear_the_tree_is_empty_until_the_next_solve(cleared: str, callbacks: bool) -> None:
     setup = arena()
-    planner = planned(setup, 0.5 if callbacks else 0.02, use_callbacks=callbacks)
+    planner = planned(setup, 300, use_callbacks=callbacks)
     (setup if cleared == "setup" else planner).clear()
     data = ob.PlannerData(setup.getSpaceInformation())
     setup.getPlannerData(data)
@@ -130,7 +131,7 @@ def test_several_starts_all_become_roots() -> None:
     for k, value in enumerate((3.5, 2.9, math.pi / 2, 0.0)):
         state[k] = value
     setup.addStartState(state)
-    planner = planned(setup, 0.03)
+    planner = planned(setup)
     assert np.count_nonzero(planner.tree().parents < 0) == 2
     assert setup.getSolutionPath().getState(0)[0] == 3.5  # the nearer start
 
@@ -153,7 +154,7 @@ def test_planner_data_is_the_tree(callbacks: bool) -> None:
 
 
 def test_the_plan_of_a_cycle_has_a_contingency_and_the_tree_asks_for_safety() -> None:
-    plan = planned(arena(), 0.03, cycle=1.0).plan()
+    plan = planned(arena(), cycle=1.0).plan()
     assert plan is not None
     assert plan.contingency is not None
     assert plan.contingency.times[0] == 1.0
@@ -177,7 +178,7 @@ def test_a_path_can_be_retained_from_a_later_state(callbacks: bool) -> None:
 
 def test_a_tree_can_be_retained_from_a_moved_root() -> None:
     setup = arena()
-    planner = planned(setup, 0.02)
+    planner = planned(setup, 500)
     tree = planner.tree()
     setup.clear()
     planner.retain_tree(tree)
@@ -312,7 +313,7 @@ def test_any_space_of_compounds_is_planned_over_callbacks() -> None:
 
 def test_what_a_callback_raises_ends_solve_and_the_planner_can_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     setup = arena()
-    planner = planned(setup, 0.2, use_callbacks=True)
+    planner = planned(setup, 200, use_callbacks=True)
     answers = iter([False, False])
     with pytest.raises(StopIteration):
         planner.solve(lambda: next(answers))
@@ -347,7 +348,7 @@ def test_equal_seeds_give_equal_trees_over_callbacks() -> None:
 
 
 def test_a_learned_top_speed_updates_the_costs_to_go_of_the_whole_tree() -> None:
-    planner = planned(arena(), 1.0, use_callbacks=True)
+    planner = planned(arena(), 1000, use_callbacks=True)
     search = planner._search
     assert isinstance(search, CallbackSearch)
     tree = search._tree
@@ -362,7 +363,7 @@ def test_a_learned_top_speed_updates_the_costs_to_go_of_the_whole_tree() -> None
 
 
 def test_pruning_keeps_what_a_higher_learned_top_speed_could_still_make_better() -> None:
-    planner = planned(arena(), 1.0, use_callbacks=True)
+    planner = planned(arena(), 1000, use_callbacks=True)
     search = planner._search
     assert isinstance(search, CallbackSearch)
     tree = search._tree
@@ -380,10 +381,14 @@ def test_pruning_keeps_what_a_higher_learned_top_speed_could_still_make_better()
 @pytest.mark.parametrize("callbacks", [False, True])
 def test_memory_grows_up_to_the_most_nodes(callbacks: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ompl_ext.callback.CAPACITY" if callbacks else "ompl_ext.compiled_search.CAPACITY", 100)
-    unlimited = planned(arena(), 1.0 if callbacks else 0.05, use_callbacks=callbacks)
+    unlimited = planned(arena(), 500, use_callbacks=callbacks)
     assert len(unlimited.tree().parents) > 200
     began = time.perf_counter()
-    limited = planned(arena(), 30.0, use_callbacks=callbacks, max_nodes=200)
+    setup = arena()
+    limited = DIRT(setup.getSpaceInformation(), use_callbacks=callbacks, max_nodes=200)
+    setup.setPlanner(limited)
+    setup.setup()
+    setup.solve(30.0)
     assert 100 < len(limited.tree().parents) <= 200
     assert time.perf_counter() - began < 20.0  # memory has ended the search
 
@@ -407,8 +412,8 @@ def test_no_object_is_leaked_at_exit() -> None:
     script = (
         "import sys; sys.path[:0] = sys.argv[1:]\n"
         "from support.ompl_setup import arena, planned\n"
-        "planned(arena(), 0.02)\n"
-        "planned(arena(), 0.2, use_callbacks=True)\n"
+        "planned(arena(), 500)\n"
+        "planned(arena(), 200, use_callbacks=True)\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", script, str(ROOT), str(TESTS)], capture_output=True, text=True, check=True

@@ -67,7 +67,7 @@ def test_neither_the_condition_nor_the_search_is_held_after_it_is_dropped(callba
 
 def test_every_kind_of_termination_condition_ends_solve() -> None:
     setup = arena()
-    planner = planned(setup, 0.01)
+    planner = planned(setup)
     assert planner.solve(0.01) == STATUS.EXACT_SOLUTION
     assert planner.solve(ob.timedPlannerTerminationCondition(0.01)) == STATUS.EXACT_SOLUTION
     asked: list[int] = []

@@ -24,17 +24,21 @@ def arena(*obstacles: object, goal: tuple[float, float] = (3.5, 3.5), start: np.
     return simple_setup(BENCHMARK, Workspace(BOUNDS, (wall, *obstacles)), start, Goal(goal, 0.25))  # type: ignore[arg-type]
 
 
-def planned(setup: SimpleSetup, seconds: float = 0.05, **parameters: object) -> DIRT:
+def planned(setup: SimpleSetup, iterations: int = 2000, **parameters: object) -> DIRT:
+    """A planner after at least so many iterations (the clock is looked at now and then), however slow the machine."""
     planner = DIRT(setup.getSpaceInformation(), **parameters)  # type: ignore[arg-type]
     setup.setPlanner(planner)
     setup.setup()
-    setup.solve(seconds)
+    began = time.monotonic()
+    while planner.iterations < iterations:
+        assert time.monotonic() < began + 60.0
+        setup.solve(0.01)
     return planner
 
 
 def solved(setup: SimpleSetup, **parameters: object) -> DIRT:
     """A planner that has just found its first solution: a tenth of a second or, over callbacks, a few."""
-    began, planner = time.monotonic(), planned(setup, 0.02, **parameters)
+    began, planner = time.monotonic(), planned(setup, 1, **parameters)
     while not setup.haveExactSolutionPath():
         assert time.monotonic() < began + 60.0
         setup.solve(0.02)
