@@ -27,10 +27,13 @@ from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
 Values = tuple[float, ...]
 
-STANDSTILL = 0.1
-"""Speed over which friction changes its direction, m/s: integration steps of 0.1 s cross standstill without ringing."""
-HOLD = 8.0
-"""Rate at which friction brings a held car to rest, 1/s."""
+TURNOVER = 0.05
+"""Time in which friction alone would cross the speeds over which its sense changes, s.
+
+Half a step of the planner: longer, the car rolls out too far; shorter, steps of 0.1 s ring about standstill.
+"""
+LEAST_WIDTH = 0.01
+"""Least speed over which the sense of friction changes, m/s, so that derivatives exist without friction too."""
 SOFT_THROTTLE = 0.02
 """Share of full throttle over which the dead zone ends, so that derivatives exist."""
 SOFT_SIDE = 0.05
@@ -66,10 +69,12 @@ def acceleration(v: float, effective: float, lateral: float, turned: float, slid
     brake = p[14] + p[16] * (drag if drag > 0.0 else -drag) + p[20] * (sliding if sliding > 0.0 else -sliding)
     beyond = (pushed - brake if pushed > brake else 0.0) + (pushed + brake if pushed < -brake else 0.0)
     left = brake - (pushed if pushed > 0.0 else -pushed)  # friction that the drive does not use up
-    held = HOLD * v * left / sqrt(brake * brake + HOLD * HOLD * v * v) if left > 0.0 else 0.0  # less than friction
-    speed = sqrt(v * v + STANDSTILL * STANDSTILL)
-    moving = v * v / (speed * speed)
-    driven = moving * (pushed - brake * v / speed) + (1.0 - moving) * (beyond - held)
+    width = TURNOVER * brake
+    held = v * left / sqrt(width * width + v * v) if left > 0.0 else 0.0  # less than friction
+    square, wide = v * v, width * width + LEAST_WIDTH * LEAST_WIDTH
+    root = sqrt(square * square + wide * wide)
+    moving, sense = square / root, v / sqrt(root)
+    driven = moving * (pushed - brake * sense) + (1.0 - moving) * (beyond - held)
     return driven - (p[13] + p[12] * size) * v - p[15] * v * (v if v > 0.0 else -v)
 
 
