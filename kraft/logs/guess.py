@@ -303,9 +303,11 @@ def _match_switch(table: Table, mapping: Mapping) -> TableMatch:
     column = None if mapped_column is None else Column(column=mapped_column.column)
     score = _bool_score if _is_switch(table) else dead_man_score
     switch = matcher.match("dead man", score, "control", ("dead_man",), column)
-    return TableMatch(
-        table, matcher.clock(COMMAND, mapped_column.time if mapped_column else None, "dead_man"), (switch,)
-    )
+    stated = mapped_column.time if mapped_column else None
+    if stated is None:  # in a table with several clocks the switch is on that which the mapping file names for others
+        named = (mapping.commands.time, mapping.poses.time)
+        stated = next((time for time in named if time is not None and time.column in table.columns), None)
+    return TableMatch(table, matcher.clock(COMMAND, stated, "dead_man"), (switch,))
 
 
 def _is_switch(table: Table) -> bool:

@@ -152,6 +152,13 @@ def test_columns_that_only_look_like_a_switch_can_be_overruled(tmp_path: Path) -
     same_as_wide(read(tmp_path, "dead_man: {column: left_enabled, above: -1}\n", columns))
 
 
+def test_a_switch_without_a_clock_of_its_own_is_on_the_one_that_is_named(tmp_path: Path) -> None:
+    columns = {"time [s]": TIMES + 1000.0, **WIDE, "dead_man": (TIMES < 3).astype(float)}
+    log = read(tmp_path, "commands: {time: t}\nposes: {time: t}\n", columns)
+    assert "dead man: time from 't' (s)" in log.guess
+    assert log.parts[0].pose_times[-1] == pytest.approx(3 - 0.025 - TIMES[0])
+
+
 def test_a_topic_of_any_type_can_be_named(tmp_path: Path) -> None:
     with Bag(tmp_path / "a", "mcap") as bag:
         for time, (speed, steering) in zip(MADE.command_times, MADE.commands, strict=True):
