@@ -1,4 +1,7 @@
-"""Choice of a model of cars with random terms: how often it finds them, and what the choice costs in prediction."""
+"""Choice of a model of cars with random terms: how often it finds them, and what the choice costs in prediction.
+
+The cars are driven by an own integration, in which friction, dead zone and the sides of the steering are sharp.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from benchmarks.coulomb import driven
 from benchmarks.effort import Effort
 from benchmarks.report import Report, Row, Target, row
 from benchmarks.synthetic_logs import FINE, CommandSeries, synthetic_logs
@@ -128,8 +132,18 @@ def drives(truth: Mapping[str, float], seeds: Sequence[int], off: float = 0.0) -
     """Logs of a car, one per seed; each command acts up to `off` s before or after its recorded time."""
     names = load_vehicle_config("car-lag").parameters
     vehicle = load_vehicle("car-lag", parameters={name: value for name, value in truth.items() if name in names})
+    whole = dict(vehicle.parameters)
     given = [commands(np.random.default_rng([seed, 1])) for seed in seeds]
-    logs = synthetic_logs(vehicle, truth, seeds, seconds=SECONDS, noise=NOISE, rate=RATE, commands=given)
+    logs = synthetic_logs(
+        vehicle,
+        truth,
+        seeds,
+        seconds=SECONDS,
+        noise=NOISE,
+        rate=RATE,
+        commands=given,
+        motion=lambda acting: driven(whole, acting, FINE),
+    )
     return [_stamped(log, off, np.random.default_rng([seed, 2])) for log, seed in zip(logs, seeds, strict=True)]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy.signal import lfilter
@@ -24,6 +24,8 @@ FIRST_POSE = 0.0123
 OUTLIER = 0.5  # m
 
 CommandSeries = tuple[Floats, Matrix]
+Motion = Callable[[Floats], Floats]
+"""States (steps + 1, logs, nx) from rest with the controls (steps, logs, nu) that act in each step of `FINE` s."""
 
 
 def random_commands(vehicle: Vehicle, seconds: float, rng: np.random.Generator, hold: float = 1.0) -> CommandSeries:
@@ -49,11 +51,13 @@ def synthetic_logs(
     rate: float = 30.0,
     outliers: float = 0.0,
     commands: Sequence[CommandSeries] | None = None,
+    motion: Motion | None = None,
 ) -> list[Log]:
     """One log per seed, each from rest at the origin, of a vehicle with parameters and extras `truth`.
 
     `noise` of the poses is in m and rad; `process` (nx,) what disturbs the state per square root of a second,
-    `control_noise` (nu,) the deviation of controls held for 50 ms; `outliers` the share of poses that are off by 0.5 m.
+    `control_noise` (nu,) the deviation of controls held for 50 ms; `outliers` the share of poses that are off by 0.5 m;
+    `motion` what moves instead of the vehicle's model, undisturbed.
     """
     model = vehicle_of(vehicle)
     generators = [np.random.default_rng(seed) for seed in seeds]
@@ -61,7 +65,7 @@ def synthetic_logs(
     acting = np.stack([_acting(model, truth, c, seconds) for c in given], axis=1)
     if len(control_noise):
         acting += _held(generators, acting.shape, np.array(control_noise))
-    states = _driven(model, truth, acting, generators, np.array(process))
+    states = motion(acting) if motion else _driven(model, truth, acting, generators, np.array(process))
     return [
         Log(
             f"log-{seed:03d}",
