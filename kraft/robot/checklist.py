@@ -69,13 +69,18 @@ class Checklist:
             self._check_commands(peers),
         )
 
-    def run(self, spec: DriveSpec, is_cancelled: Callable[[], bool]) -> Checked:
+    def run(self, spec: DriveSpec, is_cancelled: Callable[[], bool], on_wait: Callable[[Check], object]) -> Checked:
         """Collect poses for a while and check; every check is reported.
 
-        The commands are announced only if nobody else does.
+        The commands are announced only if nobody else does.  An earlier drive that has ended may be listed for a
+        while (rosbridge keeps its registration for 10 s); `on_wait` is told what is waited for then.
         """
         topic, kind = self._robot.command.topic, self._robot.command.type
         poses, peers = self._listen(is_cancelled)
+        if peers.publishers:
+            on_wait(Check("commands", "waiting", f"{WAITING:g} s at most for {_others(peers)} to leave {topic}"))
+            if self._wait_for_others(is_cancelled):
+                poses, peers = self._listen(is_cancelled)
         checks = [*self._check_poses(poses), *self._check_start(poses, spec.task), *self._check_clock(poses)]
         checks += [self._check_dead_man(), self._check_commands(peers), *self._check_map()]
         grid = None if self._tasks is None else self._tasks.take_map()
@@ -103,6 +108,15 @@ class Checklist:
                 break
             clock.sleep(0.05)
         return poses, peers
+
+    def _wait_for_others(self, is_cancelled: Callable[[], bool]) -> bool:
+        """Wait until nobody else publishes commands; whether that is so in the end."""
+        until = clock.monotonic() + WAITING
+        while clock.monotonic() < until and not is_cancelled():
+            if not self._transport.peers(self._robot.command.topic).publishers:
+                return True
+            clock.sleep(0.05)
+        return False
 
     def _wait_for_subscriber(self, is_cancelled: Callable[[], bool]) -> None:
         """Wait until the announced commands can reach somebody: discovery takes a moment."""
@@ -179,8 +193,7 @@ class Checklist:
     def _check_commands(self, peers: Peers) -> Check:
         topic = self._robot.command.topic
         if peers.publishers:
-            others = ", ".join(sorted(peers.publishers))
-            return Check("commands", "problem", f"somebody else publishes on {topic} already ({others})")
+            return Check("commands", "problem", f"somebody else publishes on {topic} already ({_others(peers)})")
         if peers.subscribers is None:
             return Check("commands", "warning", f"the transport cannot tell whether anybody listens on {topic}")
         if not peers.subscribers:
@@ -213,6 +226,11 @@ def _check_priority() -> Check:
         return Check("priority", "ok", "the controller runs before all ordinary programs")
     detail = "the controller waits for other programs: rtprio in /etc/security/limits.conf permits more"
     return Check("priority", "warning", detail)
+
+
+def _others(peers: Peers) -> str:
+    """Names of the publishers, for people."""
+    return ", ".join(sorted(peers.publishers or ()))
 
 
 def _rate(poses: list[Received]) -> float:

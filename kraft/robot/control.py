@@ -125,7 +125,7 @@ def run_control(
     try:
         inputs = Inputs(spec.robot, transport)
         tasks = TaskInputs(spec.robot, transport, Mailbox(maps, "the process of the maps") if maps else None)
-        found = Checklist(spec.robot, transport, inputs, tasks).run(spec, lambda: mailbox.closed)
+        found = Checklist(spec.robot, transport, inputs, tasks).run(spec, lambda: mailbox.closed, mailbox.send)
         mailbox.send(found)
         order = mailbox.wait()
         if isinstance(order, Begin) and found.passed:

@@ -38,6 +38,7 @@ from kraft.robot.maps import run_maps, with_map
 from kraft.robot.priority import STOPPING, preferred_planner, process_context, short_collections, shorten_collections
 from kraft.robot.protocol import (
     Begin,
+    Check,
     Checked,
     DriveSpec,
     Ended,
@@ -149,7 +150,7 @@ def drive(
 
     Args:
         spec: the drive; its method fulfils `check_method`.
-        on_check: called with the check list.
+        on_check: called with the check list, and before with what it waits for.
         on_cycle: called with each cycle, with its tree if `keep_trees`, after it was sent to the controller.
         on_status: called with the state every second, and with every event.
         on_sense: called with what the controller sensed and sent.
@@ -217,7 +218,9 @@ def _drive(
     for message in _messages(here, process):
         if isinstance(message, KraftError):
             raise message
-        if isinstance(message, Checked):
+        if isinstance(message, Check):
+            on_check(Checked((message,), None))
+        elif isinstance(message, Checked):
             checked = message
             on_check(checked)
             if not checked.passed or checked.pose is None:

@@ -51,7 +51,10 @@ class DriveSpec:
 
 @dataclass(frozen=True)
 class Check:
-    """Result of one check before the drive: ``ok``, ``warning``, or ``problem``, which prevents it."""
+    """Result of one check before the drive: ``ok``, ``warning``, or ``problem``, which prevents it.
+
+    With ``waiting`` it is what the check waits for.
+    """
 
     name: str
     state: str

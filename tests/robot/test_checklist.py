@@ -20,7 +20,7 @@ from kraft.robot.inputs import Inputs
 from kraft.robot.loopback import LoopbackBus, LoopbackNode
 from kraft.robot.maps import receive_maps
 from kraft.robot.messages import ACKERMANN, BOOL, GRID, JOY, POSE, header, make, pose_fields
-from kraft.robot.protocol import Checked, DriveSpec, Mailbox
+from kraft.robot.protocol import Check, Checked, DriveSpec, Mailbox
 from kraft.robot.robot_file import Robot
 from kraft.robot.task_inputs import TaskInputs
 from kraft.scenario import load_scenario
@@ -81,7 +81,7 @@ def checked(send: Callable[[LoopbackNode], None], described: Robot | None = None
         bus.node("joystick").advertise("/drive", ACKERMANN)
     here = bus.node("kraft")
     with sending(send, bus):
-        return checklist_of(described, here, spec).run(spec, lambda: False)
+        return checklist_of(described, here, spec).run(spec, lambda: False, lambda _: None)
 
 
 def checklist_of(described: Robot, here: LoopbackNode, spec: DriveSpec) -> Checklist:
@@ -161,6 +161,25 @@ def test_slow_poses_and_a_missing_dead_man_are_warnings() -> None:
 def test_somebody_else_who_publishes_commands_is_found() -> None:
     found = checked(poses(), others=True)
     assert states(found)["commands"] == "problem"
+
+
+def test_a_publisher_that_leaves_is_waited_for_with_one_line() -> None:
+    spec = DriveSpec(
+        load_scenario("boxes").task(), load_method("adaptive-kraft"), load_vehicle("mushr"), robot(), timeout=60.0
+    )
+    bus, waits = LoopbackBus(), list[Check]()
+    earlier, here = bus.node("earlier drive"), bus.node("kraft")
+    earlier.advertise("/drive", ACKERMANN)
+
+    def leave_soon(check: Check) -> None:
+        waits.append(check)
+        threading.Timer(0.3, earlier.close).start()
+
+    with sending(poses(), bus):
+        found = checklist_of(robot(), here, spec).run(spec, lambda: False, leave_soon)
+    assert found.passed, found.checks
+    assert [(check.name, check.state) for check in waits] == [("commands", "waiting")]
+    assert "earlier drive" in waits[0].detail
 
 
 def test_commands_that_nobody_hears_are_found() -> None:
@@ -248,5 +267,5 @@ def test_a_scenario_that_begins_elsewhere_is_the_one_to_check_against() -> None:
     bus = LoopbackBus()
     here = bus.node("kraft")
     with sending(poses(), bus):
-        found = checklist_of(robot(), here, spec).run(replace(spec, task=moved), lambda: False)
+        found = checklist_of(robot(), here, spec).run(replace(spec, task=moved), lambda: False, lambda _: None)
     assert states(found)["start"] == "problem"
