@@ -107,6 +107,7 @@ class Replanner:
         self._proposer = self._propose_with(solvers)
         self._blockage = None if settings.blocked is None else Blockage(settings.blocked, self.dirt.vehicle)
         self._blocked: tuple[Polygon, ...] = ()
+        self._has_maps = True  # whether the solvers know them
         self._fruitless = 0  # number of the latest cycles without a plan to the goal
         self._predict = ClosedLoopPredictor(self.dirt, controller, period)
         self._ranking: ContingencyRanking | None = None
@@ -221,6 +222,8 @@ class Replanner:
     def prepare(self) -> None:
         """Second part of `step`: plan for the cycle after the one that was decided."""
         assert self._decision is not None, "a cycle was decided"
+        if not self._has_maps:
+            self._make_maps()
         if not self._one_shot:
             decision = self._decision
             root = self._with_room(decision.predicted.final_state)
@@ -247,12 +250,18 @@ class Replanner:
         return None
 
     def _block(self, obstacles: tuple[Polygon, ...], reason: str) -> None:
-        """Plan with these obstacles beside those of the task; the plan for this cycle does not know them."""
-        self._blocked, self._fruitless = obstacles, 0
-        solvers = self._solvers.with_obstacles(obstacles, self._settings)
-        self._proposer = self._propose_with(solvers)
-        self._use(solvers)
+        """Plan with these obstacles beside those of the task; the plan for this cycle does not know them.
+
+        Their maps take up to the time of a decision: `prepare` makes them.
+        """
+        self._blocked, self._fruitless, self._has_maps = obstacles, 0, False
         self._proposal = Proposal(None, reason)
+
+    def _make_maps(self) -> None:
+        """Make the solvers for what blocks the vehicle."""
+        solvers = self._solvers.with_obstacles(self._blocked, self._settings)
+        self._proposer, self._has_maps = self._propose_with(solvers), True
+        self._use(solvers)
 
     def _calibrate(self, estimate: Estimate) -> None:
         """Compare the last prediction with the estimate, and set the bound for this cycle."""

@@ -131,6 +131,22 @@ def test_plans_lead_round_what_blocks_the_vehicle() -> None:
     assert away.min() > 0.0
 
 
+def test_the_maps_of_what_blocks_the_vehicle_are_made_after_the_decision() -> None:
+    subject = careful()
+    current: Commitment = subject.begin(start())
+    before = subject.dirt
+    for number in range(8):
+        cycle = subject.decide(Estimate(number * CYCLE, start(), 0.0), current)
+        current = cycle.commitment
+        assert subject.dirt is before
+        if cycle.blocked:
+            break
+        subject.prepare()
+    assert subject._blocked
+    subject.prepare()
+    assert len(subject.dirt.workspace.obstacles) == len(before.workspace.obstacles) + 1
+
+
 def test_the_vehicle_keeps_its_parameters_and_its_task_when_it_is_blocked() -> None:
     subject = careful()
     values = np.array(list(subject.dirt.vehicle.parameters.values())) * 0.9
