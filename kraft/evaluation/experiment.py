@@ -27,7 +27,7 @@ from kraft.scenario import Scenario
 from kraft.trial.planning_vehicle import (
     check_robot,
     load_planning_vehicle,
-    other_body,
+    other_robot,
     uncorrected_slope,
     vehicle_reference,
 )
@@ -74,7 +74,7 @@ class Cell:
 
 WARNINGS: Final[tuple[Callable[[Cell], str], ...]] = (
     lambda cell: cell.scenario.far_camera(),
-    lambda cell: other_body(cell.scenario, cell.vehicle),
+    lambda cell: other_robot(cell.scenario, cell.vehicle),
     lambda cell: uncorrected_slope(cell.scenario, cell.method, cell.vehicle),
 )
 """What may be wrong with a row though it can be driven; each is empty where it is not."""

@@ -16,6 +16,10 @@ from ompl_ext.vehicle import Vehicle
 
 ALIKE: Final = 1.25
 """Ratio of the sizes of two bodies up to which one may stand for the other."""
+ALIKE_SPEED: Final = 1.5
+"""Ratio of the top speeds of two cars up to which one may stand for the other."""
+MUSHR: Final = "mushr-drive"
+"""Vehicle that was identified from the simulated MuSHR, with its top speed."""
 
 
 def planning_vehicle(scenario: Scenario, method: Method, vehicle: str | None = None) -> Vehicle:
@@ -92,17 +96,19 @@ def check_own_robot(vehicle: Vehicle) -> None:
         check_own_truth(vehicle)
 
 
-def other_body(scenario: Scenario, vehicle: Vehicle) -> str:
-    """What to say of a true robot that is the MuSHR by default, for a car of another size; else empty."""
+def other_robot(scenario: Scenario, vehicle: Vehicle) -> str:
+    """What to say of a true robot that is the MuSHR by default, for a car of another size or top speed; else empty."""
     robot, source = natural_robot(vehicle)
     by_default = scenario.truth.kind is None and robot.car is not None and ("truth",) not in source.keys
-    shape = vehicle.footprint
+    shape, top_speed = vehicle.footprint, load_vehicle(MUSHR).top_speed
     ratios = [stated / true for stated, true in zip((shape.length, shape.width), MUSHR_SIZE, strict=True)]
-    if not by_default or all(1.0 / ALIKE < ratio < ALIKE for ratio in ratios):
+    alike = all(1.0 / ALIKE < ratio < ALIKE for ratio in ratios)
+    if not by_default or (alike and 1.0 / ALIKE_SPEED < vehicle.top_speed / top_speed < ALIKE_SPEED):
         return ""
     return (
-        f"the true robot is the MuSHR, {MUSHR_SIZE[0]:g} m x {MUSHR_SIZE[1]:g} m, because neither the scenario nor the "
-        f"file of {vehicle.name} ({shape.length:g} m x {shape.width:g} m) states another (truth)"
+        f"the true robot is the MuSHR, {MUSHR_SIZE[0]:g} m x {MUSHR_SIZE[1]:g} m, up to {top_speed:.2g} m/s fast, "
+        f"because neither the scenario nor the file of {vehicle.name} ({shape.length:g} m x {shape.width:g} m, "
+        f"{vehicle.top_speed:.2g} m/s) states another (truth)"
     )
 
 

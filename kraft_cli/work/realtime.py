@@ -20,7 +20,7 @@ from kraft.robot.robot_file import JOINT_STATE, CommandOutput, Loopback, Robot, 
 from kraft.robot.world import RobotWorld, WorldResult
 from kraft.scenario import load_scenario
 from kraft.text import finite, metres
-from kraft.trial.planning_vehicle import planning_vehicle
+from kraft.trial.planning_vehicle import other_robot, planning_vehicle
 from kraft.trial.result import Outcome, outcome_text
 from kraft.vehicles import is_car
 from kraft_cli.work.drive import Driven, DriveRequest, drive_json, drive_robot, drive_table
@@ -69,7 +69,8 @@ def run_in_real_time(
         raise InputError.of_argument("plot", "draws a trial", "expected --out and --bag with --realtime", Code.CONFLICT)
     with tempfile.TemporaryDirectory(prefix="kraft-") as folder:
         socket = Loopback(kind="loopback", socket=str(Path(folder) / "socket"))
-        robot = _for_vehicle(load_robot(ROBOT).model_copy(update={"transport": socket, "clock": None}), request)
+        robot = load_robot(ROBOT).model_copy(update={"transport": socket, "clock": None})
+        robot = _for_vehicle(robot, request, report)
         simulated = WorldRequest(
             request.scenario, robot, request.vehicle, request.seed, request.settings, 1.0, outputs.video, outputs.view
         )
@@ -82,8 +83,10 @@ def run_in_real_time(
             return RealtimeRun(request, driven, ended())
 
 
-def _for_vehicle(robot: Robot, request: RunRequest) -> Robot:
+def _for_vehicle(robot: Robot, request: RunRequest, report: Callable[[str], None]) -> Robot:
     """The robot with commands for the vehicle that drives: of a car, or joints with the controls of another one.
+
+    `report` receives a warning of a true robot that is not like the vehicle.
 
     Raises:
         InputError: with the problems of the scenario, the method or the vehicle.
@@ -95,7 +98,10 @@ def _for_vehicle(robot: Robot, request: RunRequest) -> Robot:
     problems.check()
     assert scenario is not None, "every problem was raised"
     assert method is not None, "every problem was raised"
-    if is_car(planning_vehicle(scenario, method, request.vehicle)):
+    vehicle = planning_vehicle(scenario, method, request.vehicle)
+    if text := other_robot(scenario, vehicle):
+        report(f"warning: {text}")
+    if is_car(vehicle):
         return robot
     own = robot.command
     joints = CommandOutput(topic=own.topic, type=JOINT_STATE, frame=own.frame, timeout=own.timeout)

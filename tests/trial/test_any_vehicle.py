@@ -9,7 +9,7 @@ import pytest
 
 from kraft.driving.method import load_method
 from kraft.scenario import load_scenario
-from kraft.trial.planning_vehicle import other_body, uncorrected_slope, vehicle_reference
+from kraft.trial.planning_vehicle import other_robot, uncorrected_slope, vehicle_reference
 from kraft.trial.result import Outcome, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
@@ -90,6 +90,8 @@ def test_what_cannot_be_true_of_a_row_is_said() -> None:
     assert uncorrected_slope(slope, load_method("kraft"), load_vehicle("mushr-drive")) == ""
     assert uncorrected_slope(load_scenario("turns"), method, load_vehicle("mushr-drive")) == ""
     truck = replace(load_vehicle("mushr-drive"), footprint=Footprint(2.0, 0.8), file="", name="truck")
-    assert "the true robot is the MuSHR" in other_body(slope, truck)
+    assert "the true robot is the MuSHR" in other_robot(slope, truck)
+    fast = replace(load_vehicle("mushr-drive"), top_speed=3.0, file="", name="fast")
+    assert "up to 0.71 m/s fast" in other_robot(slope, fast)
     for name in ("mushr", "mushr-drive", "f1tenth", "jackal", "unicycle2"):
-        assert other_body(slope, load_vehicle(name)) == ""
+        assert other_robot(slope, load_vehicle(name)) == ""
