@@ -21,6 +21,9 @@ from kraft.logs.table import Flags, Rows
 CHORD_MIN = 0.1
 """Least distance that determines a direction of motion, m; noise may require more."""
 
+CHORD_TURN_MAX: Final = 0.6
+"""Turn up to which the yaw follows the direction of a chord, rad."""
+
 AVERAGING_TIME = 0.5
 """Longest time over which poses are averaged to determine the extent of the motion, s."""
 
@@ -322,7 +325,15 @@ def _follows_as_degrees(path: Chords, yaw: Array) -> bool:
     return straight and abs(offset_degrees) < 0.2 < abs(offset)
 
 
+def _ahead(path: Chords, yaw: Array) -> Chords:
+    """The chords on which a vehicle turns little: turns on the spot say nothing of the direction of motion."""
+    turned = np.abs(np.diff(np.unwrap(yaw)[path.ends], axis=1)[:, 0])
+    ahead = turned <= CHORD_TURN_MAX
+    return Chords(path.directions[ahead], path.speeds[ahead], path.durations[ahead], path.ends[ahead])
+
+
 def _heading(poses: Samples, path: Chords, yaw: Array, findings: Findings) -> None:
+    path = _ahead(path, yaw)
     if len(path.directions) < _CHORDS_MIN or agreement(path, yaw)[0] > 0.7:
         return
     follows, offset = agreement(path, -yaw)

@@ -1,8 +1,9 @@
-"""Units of the commands in the logs of a car: their neutral value, sign and scale.
+"""Units of the commands in the logs of a car, or of a robot with two driven sides: neutral value, sign and scale.
 
 Pulse widths, duty, degrees and [-1, 1] are all converted to shares of the full throttle, forward positive, and to a
 wheel angle, left positive.  Commands that already are such are left as they are.  The scale of the steering is that of
-a car of a given wheelbase: poses show the ratio of the two alone.
+a car of a given wheelbase: poses show the ratio of the two alone.  Commands of sides that may be speeds are left as
+they are too, because their models have a gain; others are converted to shares of the largest one of either side.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from kraft.sysid.log_motion import SPAN, STEP, Motion, motions, sums_of
-from ompl_ext.arrays import Floats
+from ompl_ext.arrays import Floats, Matrix
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log
@@ -27,10 +28,15 @@ STEERING_RATIO_MAX: Final = 2.2
 """Factor between the commanded and the found wheel angle up to which commands count as radians."""
 THROTTLE_MAX: Final = 1.6
 """Largest throttle that counts as a share of the full one, or as a speed of a slow car in m/s."""
+SIDES: Final = ("left", "right")
+"""Commands of a robot with two driven sides."""
+SIDE_MAX: Final = 40.0
+"""Largest command of a side that counts as a speed, of the wheels in rad/s."""
 OFFSET_MAX: Final = 0.6
 """Offset of the steering over its largest deviation from there, up to which the wheels are merely off centre."""
-FULL: Final = {"throttle": "above it is the largest one in the logs", "steering": "above it is a radian"}
-OPPOSITE: Final = {"throttle": "backwards", "steering": "to the right"}
+LARGEST: Final = "above it is the largest one in the logs"
+FULL: Final = {"throttle": LARGEST, "steering": "above it is a radian", "left": LARGEST, "right": LARGEST}
+OPPOSITE: Final = {"throttle": "backwards", "steering": "to the right", "left": "backwards", "right": "backwards"}
 REST_SPEED: Final = 0.05
 """Share of the high speeds below which the car is at rest."""
 REST_SAMPLES_MIN: Final = 10
@@ -54,7 +60,9 @@ class CommandUnit:
 
 
 def command_units(logs: Sequence[Log]) -> dict[str, CommandUnit]:
-    """Meaning of throttle and steering in the logs of one car; as they are where the logs do not show another one."""
+    """Meaning of the commands in the logs of one vehicle; as they are where the logs do not show another one."""
+    if logs and set(SIDES) <= set(logs[0].controls):
+        return dict(zip(SIDES, _sides(motions(logs, SIDES)), strict=True))
     found = motions(logs)
     if not found:
         return {"throttle": CommandUnit(), "steering": CommandUnit()}
@@ -102,7 +110,7 @@ def _throttle(found: Sequence[Motion]) -> CommandUnit:
     speed = np.concatenate([m.speed for m in found])
     if np.ptp(values) <= 0.0:
         return CommandUnit()
-    neutral = _throttle_at_rest(values, speed)
+    neutral = _at_rest(values, speed, THROTTLE_MAX)
     if neutral is None:
         neutral = 0.0 if values.min() <= 0.0 <= values.max() or np.abs(values).max() <= THROTTLE_MAX else None
     if neutral is None:  # the car never rests: where its speed would be 0
@@ -127,13 +135,13 @@ def _throttle_of_no_speed(found: Sequence[Motion]) -> float:
     return float(-level / slope) if slope else float(np.mean(table[:, 1]))
 
 
-def _throttle_at_rest(values: Floats, speed: Floats) -> float | None:
-    """The usual throttle of a car at rest, None if it is hardly ever at rest."""
+def _at_rest(values: Floats, speed: Floats, largest: float) -> float | None:
+    """The usual command of a vehicle at rest, None if it is hardly ever at rest; 0 if it may be, up to `largest`."""
     resting = np.abs(speed) < REST_SPEED * np.quantile(np.abs(speed), 0.95)
     kinds, counts = np.unique(values[resting], return_counts=True)
     if resting.sum() < REST_SAMPLES_MIN or counts.max() < REST_SHARE_MIN * counts.sum():
         return None
-    if 0.0 in kinds and values.min() >= -THROTTLE_MAX and values.max() <= THROTTLE_MAX:
+    if 0.0 in kinds and values.min() >= -largest and values.max() <= largest:
         return 0.0
     return float(kinds[np.argmax(counts)])
 
@@ -156,6 +164,42 @@ def _steering(found: Sequence[Motion]) -> CommandUnit:
         return CommandUnit()
     flipped = -STEERING_RATIO_MAX <= per_unit <= -1.0 / STEERING_RATIO_MAX
     return CommandUnit(neutral, -1.0 if neutral == 0.0 and flipped else float(f"{per_unit:.3g}"))
+
+
+def _sides(found: Sequence[Motion]) -> tuple[CommandUnit, CommandUnit]:
+    """Meaning of the commands of both sides, with one scale: that the sides differ is a parameter of the models."""
+    if not found:
+        return CommandUnit(), CommandUnit()
+    given = np.concatenate([m.commands(DELAY) for m in found])
+    motion = np.concatenate([np.column_stack([m.speed, m.rate]) for m in found])
+    middle, half = given.mean(axis=0), given.std(axis=0) + 1e-12
+    table = np.column_stack([np.ones(len(given)), (given - middle) / half])
+    level, *slopes = np.linalg.lstsq(table, motion, rcond=None)[0]
+    moving = np.abs(motion / (np.quantile(np.abs(motion), 0.95, axis=0) + 1e-12)).max(axis=1)
+    still = _without_motion(np.array(slopes).T, level, half) + middle
+    neutral = [_side_neutral(given[:, k], moving, float(still[k])) for k in range(2)]
+    forward = [-1.0 if slope[0] < 0.0 else 1.0 for slope in slopes]
+    largest = float(np.abs(given - neutral).max())
+    if largest <= 0.0 or (largest <= SIDE_MAX and not any(neutral)):
+        return CommandUnit(0.0, forward[0]), CommandUnit(0.0, forward[1])
+    one, other = (CommandUnit(n, float(f"{sign / largest:.4g}")) for n, sign in zip(neutral, forward, strict=True))
+    return one, other
+
+
+def _side_neutral(values: Floats, moving: Floats, still: float) -> float:
+    """Neutral command of a side: the usual one at rest, else 0 where it may be, else that without motion, `still`."""
+    found = _at_rest(values, moving, SIDE_MAX)
+    if found is not None:
+        return found
+    if values.min() <= 0.0 <= values.max() or np.abs(values).max() <= SIDE_MAX or not np.ptp(values):
+        return 0.0
+    return _rounded(still, values)
+
+
+def _without_motion(slopes: Matrix, level: Floats, half: Floats) -> Floats:
+    """Commands (2,) at which neither speed nor yaw rate remain, less their means."""
+    found: Floats = -half * np.linalg.lstsq(slopes, level, rcond=None)[0]
+    return found
 
 
 def _rounded(neutral: float, values: Floats) -> float:

@@ -1,4 +1,4 @@
-"""Motion and commands of the logs of a car on equal time steps."""
+"""Motion and commands of logs on equal time steps."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Motion:
     times: Floats
     """(n,) s, as in the log"""
     speed: Floats
-    """(n,) along the car, m/s"""
+    """(n,) along the vehicle, m/s"""
     side: Floats
     """(n,) to its left, m/s"""
     rate: Floats
@@ -39,17 +39,17 @@ class Motion:
     part: Part
 
     def commands(self, delay: float = 0.0) -> Matrix:
-        """Commands (n, 2), throttle and steering, from `delay` s before each sample."""
+        """Commands (n, 2), throttle and steering unless others were asked for, from `delay` s before each sample."""
         at = np.searchsorted(self.part.command_times, self.times - delay, side="right") - 1
         found: Matrix = self.part.commands[np.maximum(at, 0)]
         return found
 
 
-def motions(logs: Sequence[Log]) -> list[Motion]:
-    """Motion of all parts that last for a second or longer, commands in the order throttle, steering."""
+def motions(logs: Sequence[Log], controls: Sequence[str] = ("throttle", "steering")) -> list[Motion]:
+    """Motion of all parts that last for a second or longer, with the commands in the order of `controls`."""
     found = []
     for i, log in enumerate(logs):
-        columns = [log.controls.index(name) for name in ("throttle", "steering")]
+        columns = [log.controls.index(name) for name in controls]
         for part in log.parts:
             if part.duration >= 1.0 and len(part.pose_times) >= 10:
                 found.append(motion(i, part, columns))
@@ -57,7 +57,7 @@ def motions(logs: Sequence[Log]) -> list[Motion]:
 
 
 def motion(log: int, part: Part, columns: Sequence[int]) -> Motion:
-    """Motion of one part; `columns` are those of throttle and steering."""
+    """Motion of one part; `columns` are those of its commands."""
     less = thinned(part, POSE_INTERVAL)
     times = np.arange(part.pose_times[0], part.pose_times[-1], STEP)
     poses, rates = smoothed(less.pose_times, less.poses, times)

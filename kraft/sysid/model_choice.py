@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -67,7 +67,10 @@ def models_of_cars() -> tuple[str, ...]:
 
 
 def identify_car(
-    logs: Sequence[Log], settings: Settings | None = None, on_iteration: OnIteration = ignore_iteration
+    logs: Sequence[Log],
+    settings: Settings | None = None,
+    on_iteration: OnIteration = ignore_iteration,
+    on_model: Callable[[str], None] = lambda _: None,
 ) -> IdentifiedCar:
     """Identify a car with the model that predicts logs best that it was not fitted to.
 
@@ -75,6 +78,7 @@ def identify_car(
         logs: with the commands throttle and steering, in any unit, forward and left positive.
         settings: None for the defaults.
         on_iteration: called after each iteration with the number of iterations and the cost.
+        on_model: called with the name of each model before it is fitted.
 
     Raises:
         InputError: if the logs cannot be used, or a command never changes in them.
@@ -82,9 +86,11 @@ def identify_car(
     settings = settings or Settings()
     check_any(logs)
     check_controls(logs, SteeringInMotion.of(logs))
+    on_model(CARS[0])
     car = _with_terms(logs, settings, on_iteration)
     judged, refused = [_judged(car, logs, settings)], []
     for name in KNOWN:
+        on_model(name)
         screened = _screened(name, judged[0], logs, settings, on_iteration)
         if screened is not None and screened.score() > SCREENING_FACTOR * judged[0].score(_tests(logs)):
             refused.append(screened)

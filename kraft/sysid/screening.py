@@ -34,6 +34,10 @@ SWAPPED_LEAST, SWAPPED_RATIO = 0.3, 0.75
 """Share of both motions that swapped commands explain in addition, at least, and of what is left by them, at most."""
 OFFSET_LEAST, OFFSET_RATIO = 0.2, 0.6
 """The same for commands at another time."""
+FINE_STEP: Final = 0.01
+"""Resolution of the offset of the clocks, s."""
+FINE_COUNT: Final = 25
+"""Number of such steps to either side of the coarse offset."""
 OFFSET_WIDTH: Final = 1.0
 """Time from the found offset at which commands must explain less, s."""
 RATE_SPAN: Final = 0.6
@@ -144,14 +148,25 @@ def _check_clock(found: Sequence[Motion], _: Sequence[Log]) -> Diagnostic | None
     beside, _delay = _least(found, (delay - OFFSET_WIDTH, delay + OFFSET_WIDTH))
     if beside - far < 0.5 * OFFSET_LEAST:  # slow ramps are explained by commands of any time
         return None
-    _error, delay = _least(found, delay + STEP * np.arange(-4.0, 5.0, dtype=np.float64))
-    offset = USUAL_DELAY - delay
+    offset = USUAL_DELAY - _fine_delay(found, delay)
     problem = (
-        f"the commands are recorded {abs(offset):.1f} s {'later' if offset > 0.0 else 'earlier'} than they act: their "
+        f"the commands are recorded {abs(offset):.2f} s {'later' if offset > 0.0 else 'earlier'} than they act: their "
         "clock is not that of the poses"
     )
-    expected = f"state the offset in a mapping file, commands.time: {{column: ..., zero: {offset:.1f}}} for seconds"
+    expected = f"state the offset in a mapping file, commands.time: {{column: ..., zero: {offset:.2f}}} for seconds"
     return Diagnostic("logs", problem, expected, code=Code.MISMATCH)
+
+
+def _fine_delay(found: Sequence[Motion], delay: float) -> float:
+    """The delay near a coarse one: that of the yaw rate, or of both motions where the steering hardly explains it.
+
+    The inertia of the drive spreads a change of the speed over a time in which it shows no delay.
+    """
+    delays = delay + FINE_STEP * np.arange(-FINE_COUNT, FINE_COUNT + 1)
+    errors = [yaw_error(found, each) for each in delays]
+    if min(errors) < EXPLAINED_MAX:
+        return float(delays[np.argmin(errors)])
+    return _least(found, delays)[1]
 
 
 @dataclass(frozen=True, eq=False)

@@ -151,12 +151,13 @@ def run_sysid(
         NegativeResult: if there are logs, and none of them can be used.
     """
     base, settings = _checked(request)
-    auto = request.model == AUTO and is_car(base.vehicle)
+    any_unit = request.model == AUTO
+    auto = any_unit and is_car(base.vehicle)
     controls = tuple(base.vehicle.controls)
-    logs = read_sysid_logs(request.logs, request.mapping, controls, info, warn, detail, any_command_unit=auto)
+    logs = read_sysid_logs(request.logs, request.mapping, controls, info, warn, detail, any_command_unit=any_unit)
     split = split_logs(logs.logs, request.holdout)
     info(split.note)
-    units = command_units(split.fitted) if auto else {}
+    units = command_units(split.fitted) if any_unit else {}
     recorded = split.held_out
     split = replace(split, fitted=with_units(split.fitted, units), held_out=with_units(split.held_out, units))
     try:
@@ -172,7 +173,7 @@ def run_sysid(
         if auto:
             base, identification, split, units = _identify_car(split, units, settings, info)
         else:
-            identification = identify(base.definition, split.fitted, settings, ProgressReporter(info))
+            identification = identify(base.definition, split.fitted, settings, ProgressReporter(info, base.name))
             if has_terms(base.definition) and set(controls) == set(SIDES):
                 used = (*split.fitted, *split.held_out)
                 base = with_speed(for_sides(base, used), identification, used)
@@ -227,7 +228,8 @@ def _identify_car(
     for name in models_of_cars():
         base = load_base_vehicle(name)
         ensure_compiled(base.vehicle, base.reference, info)
-    model = identify_car(split.fitted, settings, ProgressReporter(info))
+    progress = ProgressReporter(info)
+    model = identify_car(split.fitted, settings, progress, progress.begin)
     if not has_terms(model.base.definition) or not all(u.neutral == 0.0 < u.scale for u in units.values()):
         return model.base, model.identification, split, units
     factors = {name: unit.scale for name, unit in units.items()}
@@ -385,18 +387,22 @@ def _parse_noise(text: str, problems: list[Diagnostic]) -> Noise | None:
 
 
 class ProgressReporter:
-    """Reports the iterations of the optimiser, at most once per `PROGRESS_INTERVAL`."""
+    """Reports the iterations of the optimiser for a model, at most once per `PROGRESS_INTERVAL`."""
 
-    def __init__(self, info: MessageSink, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, info: MessageSink, model: str = "", clock: Callable[[], float] = time.monotonic) -> None:
         """Start the clock."""
-        self._info, self._clock, self._last = info, clock, clock()
+        self._info, self._model, self._clock, self._last = info, model, clock, clock()
+
+    def begin(self, model: str) -> None:
+        """Note the name of the model that is fitted from now on."""
+        self._model = model
 
     def __call__(self, iterations: int, cost: float) -> None:
         """Report the number of iterations and the cost, unless the last report is recent."""
         now = self._clock()
         if now - self._last >= PROGRESS_INTERVAL:
             self._last = now
-            self._info(f"iteration {iterations}, cost {cost:.6g}")
+            self._info(f"{self._model}: iteration {iterations}, cost {cost:.6g}")
 
 
 def _excluded_note(base: BaseVehicle, settings: Settings) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,12 +14,15 @@ from kraft.logs.log import Log, LogSet
 from kraft.logs.mapping import Mapping, load_mapping
 from kraft.logs.reader import CONTROLS, MismatchError, read_logs
 from kraft.sysid.data import screen_logs
+from kraft.text import counted
 
 SIDES: Final = ("left", "right")
 """Controls of a robot with two driven sides."""
 MessageSink = Callable[[str], None]
 """Receives one message."""
 
+NUMBER: Final = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
+"""A number in a message."""
 HARMLESS: Final = {
     "wrap": "yaw wraps; made continuous, nothing is left out",
     "dropout": "some poses are missing; nothing is left out",
@@ -67,8 +71,8 @@ def read_sysid_logs(
     _report_logs(long.logs, info, detail)
     for shortened in long.shortened:
         info(shortened)
-    for problem in (*found.problems, *long.problems):
-        warn(f"left out: {problem}")
+    for line in folded((*found.problems, *long.problems)):
+        warn(f"left out: {line}")
     if not long.logs:
         raise _none_usable(len(discover(paths, controls, mapping)[0]), (*found.problems, *long.problems))
     return LogSet(long.logs, (*found.problems, *long.problems))
@@ -76,6 +80,8 @@ def read_sysid_logs(
 
 def has_two_sides(paths: Sequence[Path], mapping_file: Path | None) -> bool:
     """Whether the first log that can be read has the commands of a robot with two driven sides, and not of a car.
+
+    Where none can be read, the headings of the files tell.
 
     Raises:
         InputError: if the mapping file cannot be read.
@@ -86,7 +92,12 @@ def has_two_sides(paths: Sequence[Path], mapping_file: Path | None) -> bool:
             return False
         if _is_log_of(candidate.place, SIDES, mapping):
             return True
-    return False
+    return _are_pairs(paths, SIDES, mapping) and not _are_pairs(paths, CONTROLS, mapping)
+
+
+def _are_pairs(paths: Sequence[Path], controls: Sequence[str], mapping: Mapping) -> bool:
+    """Whether files with these commands and files with poses belong together by their headings."""
+    return any(len(candidate.files) > 1 for candidate in discover(paths, controls, mapping)[0])
 
 
 def _is_log_of(place: Path, controls: Sequence[str], mapping: Mapping) -> bool:
@@ -105,8 +116,21 @@ def _none_usable(count: int, problems: Sequence[Diagnostic]) -> NegativeResult:
 
 def report_problems(error: InputError, warn: MessageSink) -> None:
     """Report every problem of an error."""
-    for diagnostic in error.diagnostics:
-        warn(str(diagnostic))
+    for line in folded(error.diagnostics):
+        warn(line)
+
+
+def folded(problems: Sequence[Diagnostic]) -> list[str]:
+    """Lines of problems, with one line for those of several files that differ in their numbers alone."""
+    alike: dict[str, list[Diagnostic]] = {}
+    for each in problems:
+        alike.setdefault(NUMBER.sub("#", f"{each.problem}; {each.expected}"), []).append(each)
+    lines = []
+    for first, *others in alike.values():
+        more = len({each.file for each in others} - {first.file})
+        same = f" (and the same of {counted(more, 'other file')})" if more > 1 else ""
+        lines += [f"{first}{same}"] if same else [str(each) for each in (first, *others)]
+    return lines
 
 
 def _report_logs(logs: Sequence[Log], info: MessageSink, detail: MessageSink) -> None:

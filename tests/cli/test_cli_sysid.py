@@ -14,12 +14,14 @@ from support.logs import REAL_LOGS, needs_real_logs
 from support.paths import ROOT
 from support.recorded import FOUR, IDENTIFY
 
+from kraft.errors import Diagnostic
 from kraft.recording import experiment
 from kraft.sysid import factor_graph as compilation
 from kraft.sysid.parameters import is_unknown_to_planning
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
 from kraft_cli.work import sysid as module
+from kraft_cli.work.sysid_logs import folded
 
 KEYS = {"model", "params", "rmse_train_m", "rmse_holdout_m", "logs", "converged", "iterations", "wall_s", "warnings"}
 
@@ -116,15 +118,15 @@ def test_an_identification_that_takes_long_says_how_it_goes(
 ) -> None:
     heard: list[str] = []
     times = iter([0.0, 1.9, 2.0, 3.9, 4.1])
-    report = module.ProgressReporter(heard.append, lambda: next(times))
+    report = module.ProgressReporter(heard.append, "car", lambda: next(times))
     for made in range(1, 5):
         report(made, 1000.0 / made)
-    assert heard == ["iteration 2, cost 500", "iteration 4, cost 250"]
+    assert heard == ["car: iteration 2, cost 500", "car: iteration 4, cost 250"]
     monkeypatch.setattr(module, "PROGRESS_INTERVAL", 0.0)
     keep_seconds(folder / "logs" / "run_02", 6.0)
     arguments = ["sysid", "--model", "mushr-lag", "logs/run_02", "--extras", "none", "--graph", "paper"]
     assert main(arguments) == 0
-    assert any(re.fullmatch(r"iteration 1, cost [\d.]+", line) for line in said(capsys))
+    assert any(re.fullmatch(r"mushr-lag: iteration 1, cost [\d.]+", line) for line in said(capsys))
     assert main([*arguments, "-q"]) == 0
     assert not any("iteration" in line for line in said(capsys))
 
@@ -448,3 +450,22 @@ def test_without_a_model_the_commands_in_the_logs_decide_between_a_car_and_a_rob
     np.savetxt(run / "poses.csv", poses, fmt="%.9g", delimiter=",", header="t,x,y,yaw", comments="")
     base, _ = module._checked(module.SysidRequest(logs=(tmp_path / "other",)))
     assert base.name == model
+
+
+def test_a_table_of_poses_without_rows_is_named_for_a_robot_with_two_sides(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "commands.csv").write_text("t,left,right\n0,0.1,0.2\n1,0.2,0.1\n", encoding="utf-8")
+    (tmp_path / "poses.csv").write_text("t,x,y,yaw\n", encoding="utf-8")
+    assert main(["sysid", str(tmp_path)]) == 1
+    problem, last = said(capsys)
+    assert problem.startswith(f"{tmp_path / 'poses.csv'}: has a heading but no rows")
+    assert last == "error: the only log cannot be used"
+
+
+def test_the_same_problem_of_many_logs_is_one_line() -> None:
+    problems = [Diagnostic(f"run_{k}", f"'left' goes from 1500 to {1800 + k}", "expected a command") for k in range(8)]
+    other = Diagnostic("run_9", "has no poses", "expected some")
+    first, last = folded([*problems, other])
+    assert first == f"{problems[0]} (and the same of 7 other files)"
+    assert last == str(other)
