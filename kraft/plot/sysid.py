@@ -37,7 +37,6 @@ from kraft.plot.sysid_logs import (
     caption,
     draw_paths,
     draw_stack,
-    most_excited_log,
     set_floor_limits,
     with_name,
 )
@@ -66,6 +65,8 @@ if TYPE_CHECKING:
 
 WIDTH: Final = 11.5
 SIDE: Final = 3.1  # width of the parts at the left and at the right
+FLOOR: Final = SIDE - 0.5
+TABLE_LEFT: Final = LEFT + FLOOR + 0.3
 MATRIX: Final = 2.1
 GAP: Final = 0.75
 ROWS: Final = (2.9, 3.3, 2.7)
@@ -104,14 +105,15 @@ def compose(
     """The page."""
     rows = note_rows_of(_notes(split, result, evaluation), WIDTH - LEFT - RIGHT)
     tops, top = [], HEADING + NOTES * len(rows) + 0.32
-    heights = (max(ROWS[0], table_height(result.parameters)), *ROWS[1:])
+    below = table_height(result.parameters, result.warnings, _table_right(result) - TABLE_LEFT)
+    heights = (max(ROWS[0], below), *ROWS[1:])
     for height in heights:
         tops.append(top)
         top += height + GAP
     if result.trials or result.models:
         tops.append(top)
         top += CHOICE + NAMES if result.trials else MODEL * len(result.models) + 0.4
-    floor = Rectangle(LEFT, tops[0], SIDE - 0.5, ROWS[0])
+    floor = Rectangle(LEFT, tops[0], FLOOR, ROWS[0])
     page = Page(WIDTH, top - 0.25, floor, floor, (), rows)
     figure = Figure(figsize=(page.width, page.height))
     warning = f"not identified: {objections[0]}" if objections else None
@@ -149,15 +151,19 @@ def _draw_data(
     set_floor_limits(axes, [path for found in paths.values() for path in found], floor)
     words: list[ColouredText] = [("Data", INK), ("fitted", FITTED)]
     caption(figure, page, floor, words + ([("held out", HELD_OUT)] if split.held_out else []))
-    labels = max((text_width(name, SMALL) for name in result.names), default=0.0) / 72 + 0.1
     top = floor.top
     matrix = Rectangle(WIDTH - RIGHT - MATRIX, top, MATRIX, MATRIX)
-    left = floor.left + floor.width + 0.3
-    table = Rectangle(left, top, matrix.left - labels - 0.25 - left, height + 0.2)
+    table = Rectangle(TABLE_LEFT, top, _table_right(result) - TABLE_LEFT, height + 0.2)
     draw_parameters(figure, page, table, result.parameters, result.warnings)
     caption(figure, page, table, (("Parameters", INK), ("identified", IDENTIFIED), ("initial", INITIAL)))
     draw_correlation(page.axes(figure, matrix), result.names, result.correlation)
     caption(figure, page, matrix, (("Correlation", INK), (f"({result.interval})", INK)))
+
+
+def _table_right(result: Identification) -> float:
+    """Right side of the table of parameters, left of the names at the matrix, in."""
+    labels = max((text_width(name, SMALL) for name in result.names), default=0.0) / 72 + 0.1
+    return WIDTH - RIGHT - MATRIX - labels - 0.25
 
 
 def _paths(logs: Sequence[Log]) -> list[np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
@@ -167,8 +173,8 @@ def _paths(logs: Sequence[Log]) -> list[np.ndarray[tuple[int, int], np.dtype[np.
 def _draw_fit(
     figure: Figure, page: Page, top: float, vehicle: Vehicle, split: LogSplit, result: Identification
 ) -> None:
-    log = most_excited_log(split.fitted)
-    fit = next(found for found in result.logs if found.name == log.name)
+    fit = max(result.logs, key=lambda found: sum(_change(part) for part in found.parts))
+    log = next(each for each in split.fitted if each.name == fit.name)
     longest = max(fit.parts, key=lambda part: len(part.pose_times))
     part = next(p for p in log.parts if _within(longest, p))
     shown = _joined(sorted((f for f in fit.parts if _within(f, part)), key=lambda f: float(f.times[0])))
@@ -185,6 +191,11 @@ def _draw_fit(
         draw_histogram(page.axes(figure, part_of_page), values, sigma, unit)
         words = ((f"Residuals, {title}", INK), ("all fitted logs", DATA), ("as their noise", INK))
         caption(figure, page, part_of_page, words)
+
+
+def _change(fit: PartFit) -> float:
+    """How much the commands change in the fit of a part, of which windows may leave out much."""
+    return float(np.abs(np.diff(fit.controls, axis=0)).sum())
 
 
 def _within(fit: PartFit, part: Part) -> bool:
@@ -209,10 +220,8 @@ def _draw_choice(figure: Figure, page: Page, top: float, result: Identification)
         part = Rectangle(LEFT, top, width, CHOICE)
         colours = draw_trials(page.axes(figure, part), result.trials)
         models = " and ".join(dict.fromkeys(trial.model for trial in result.trials))
-        words = [
-            (f"Choice of terms of {models}: error on logs not fitted, after switching off one term after another", INK),
-            *colours,
-        ]
+        about = "error on logs not fitted" + ("" if result.models else ", after switching off one term after another")
+        words = [(f"Choice of terms of {models}", INK), (about, INK), *colours]
         caption(figure, page, part, words)
     if result.models:
         left = WIDTH - RIGHT - SIDE if result.trials else LEFT + NAMES

@@ -55,8 +55,8 @@ if TYPE_CHECKING:
 
 
 ROW: Final = 0.215
-LINE, LINES_BELOW = 0.145, 8
-"""Height of a small line; those for which there is room below the table."""
+LINE: Final = 0.145
+"""Height of a small line."""
 BAR: Final = 0.75
 """Least width of the bars in the table: the width of their heading."""
 BETWEEN: Final = 0.12
@@ -95,12 +95,14 @@ def draw_parameters(
     for line in _frozen_lines(parameters, part.width):
         page.text(figure, part.left, below, line, SMALL, GREY)
         below += LINE
-    _draw_warnings(figure, page, Rectangle(part.left, below, part.width, part.bottom - below), warnings)
+    for k, line in enumerate(_warning_lines(warnings, part.width), 1):
+        page.text(figure, part.left, below + LINE * k, line, SMALL, WARNING)
 
 
-def table_height(parameters: Mapping[str, ParameterEstimate]) -> float:
-    """Height of the table of estimated parameters, with room for a few lines below it, in."""
-    return ROW * (1 + sum(not each.frozen for each in parameters.values())) + LINES_BELOW * LINE
+def table_height(parameters: Mapping[str, ParameterEstimate], warnings: Sequence[str], width: float) -> float:
+    """Height of the table of estimated parameters with all lines below it, at a width, in."""
+    below = len(_frozen_lines(parameters, width)) + len(_warning_lines(warnings, width)) + 1
+    return ROW * (1 + sum(not each.frozen for each in parameters.values())) + below * LINE
 
 
 def _frozen_lines(parameters: Mapping[str, ParameterEstimate], width: float) -> list[str]:
@@ -124,15 +126,9 @@ def _cells(name: str, estimate: ParameterEstimate) -> tuple[str, str, str, str]:
     return f"{name}{unit}", value, f"{low} to {high}{estimate.interval_note}", initial
 
 
-def _draw_warnings(figure: Figure, page: Page, part: Rectangle, warnings: Sequence[str]) -> None:
-    """As many lines as there is room for."""
-    columns = _columns(part.width)
-    lines = [text for warning in warnings for text in textwrap.wrap(f"Warning: {warning}", columns)]
-    room = max(int(part.height / LINE), 0)
-    if len(lines) > room > 0:
-        lines = [*lines[: room - 1], "..."]
-    for k, text in enumerate(lines[:room]):
-        page.text(figure, part.left, part.top + LINE * (k + 1), text, SMALL, WARNING)
+def _warning_lines(warnings: Sequence[str], width: float) -> list[str]:
+    """Lines of the warnings."""
+    return [text for warning in warnings for text in textwrap.wrap(f"Warning: {warning}", _columns(width))]
 
 
 def _draw_bar(axes: Axes, estimate: ParameterEstimate) -> None:
