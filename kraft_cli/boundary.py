@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator
@@ -15,7 +14,7 @@ import typer
 from kraft.errors import Code, Defect, Diagnostic, InputError, KraftError, MissingError, NegativeResult, Unreachable
 from kraft.files import EXPECTED
 from kraft_cli.exit_status import ExitStatus
-from kraft_cli.terminal import Terminal, diagnostic_json
+from kraft_cli.terminal import Terminal, diagnostic_json, discard
 from ompl_ext.cache_error import CacheError
 
 FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -36,7 +35,7 @@ def guarded(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus
         terminal.problem("interrupted")
         return ExitStatus.INTERRUPTED
     except BrokenPipeError:
-        _abandon_stdout()
+        discard(sys.stdout)
         return ExitStatus.DONE
     except typer.Exit as request:
         return ExitStatus(request.exit_code)
@@ -68,7 +67,7 @@ def _stdout_fails() -> bool:
     try:
         print(flush=True)
     except OSError:
-        _abandon_stdout()
+        discard(sys.stdout)
         return True
     return False
 
@@ -152,8 +151,3 @@ def _causes(error: BaseException) -> Iterator[BaseException]:
     if cause is not None:
         yield cause
         yield from _causes(cause)
-
-
-def _abandon_stdout() -> None:
-    """Redirect stdout to the null device, so that the flush of Python at exit does not fail again."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

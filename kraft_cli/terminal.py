@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
@@ -55,20 +56,33 @@ class Terminal:
     def info(self, text: str) -> None:
         """Print a message, unless ``-q`` is given."""
         if not self.quiet:
-            print(text, file=self.err)
+            self._say(text)
 
     def detail(self, text: str) -> None:
         """Print a message if ``-v`` is given."""
         if self.verbose:
-            print(text, file=self.err)
+            self._say(text)
 
     def problem(self, text: str) -> None:
         """Print one problem, even if ``-q`` is given."""
-        print(text, file=self.err)
+        self._say(text)
 
     def error(self, text: str) -> None:
         """Print the error that ends the command."""
-        print(f"{_styled('error:', '1;31', self.err)} {text}", file=self.err)
+        self._say(f"{_styled('error:', '1;31', self.err)} {text}")
+
+    def _say(self, text: str) -> None:
+        """Print a message; one that nobody can read any more, because the terminal is gone, ends no command."""
+        try:
+            print(text, file=self.err, flush=True)
+        except (OSError, ValueError):  # ValueError: the stream is closed
+            discard(self.err)
+
+
+def discard(stream: TextIO) -> None:
+    """Redirect a stream that cannot be written to the null device, so that the flush of Python at exit succeeds."""
+    with contextlib.suppress(OSError, ValueError):  # it is closed, or no file
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def diagnostic_json(diagnostic: Diagnostic) -> dict[str, Any]:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import fcntl
 import itertools
 import json
 import math
 import os
 import re
 import signal
+import subprocess
+import sys
+import termios
 import threading
 import time
 from pathlib import Path
@@ -90,6 +94,32 @@ def test_the_second_interrupt_ends_at_once(tmp_path: Path) -> None:
         assert rig.until(lambda: rig.process.poll() is not None, 5.0)
         assert rig.process.returncode == 130
         assert rig.stands(6.0)
+
+
+def test_a_drive_whose_terminal_is_gone_stops_and_writes_its_result(tmp_path: Path) -> None:
+    """Its end sends SIGHUP, and all that is written into it from then on fails."""
+    ours, theirs = os.openpty()
+    command = [sys.executable, "-m", "kraft_cli", "run", "boxes", "--realtime", "--out", str(tmp_path / "out")]
+
+    def take_terminal() -> None:
+        fcntl.ioctl(theirs, termios.TIOCSCTTY, 0)
+
+    process = subprocess.Popen(
+        command,
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+        start_new_session=True,
+        preexec_fn=take_terminal,  # noqa: PLW1509 - it takes no lock
+    )
+    os.close(theirs)
+    said = b""
+    while b"  2.00 s" not in said:
+        said += os.read(ours, 4096)
+    os.close(ours)
+    assert process.wait(30.0) in (2, 128 + signal.SIGHUP)  # the table cannot be printed
+    result = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    assert result["outcome"] == "interrupted"
 
 
 WIDE = """name: wide
