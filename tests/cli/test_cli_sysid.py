@@ -455,11 +455,13 @@ def test_without_a_model_the_commands_in_the_logs_decide_between_a_car_and_a_rob
 def test_a_table_of_poses_without_rows_is_named_for_a_robot_with_two_sides(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "commands.csv").write_text("t,left,right\n0,0.1,0.2\n1,0.2,0.1\n", encoding="utf-8")
-    (tmp_path / "poses.csv").write_text("t,x,y,yaw\n", encoding="utf-8")
-    assert main(["sysid", str(tmp_path)]) == 1
+    run = tmp_path / "sides" / "run_01"
+    run.mkdir(parents=True)
+    (run / "commands.csv").write_text("t,left,right\n0,0.1,0.2\n1,0.2,0.1\n", encoding="utf-8")
+    (run / "poses.csv").write_text("t,x,y,yaw\n", encoding="utf-8")
+    assert main(["sysid", str(run)]) == 1
     problem, last = said(capsys)
-    assert problem.startswith(f"{tmp_path / 'poses.csv'}: has a heading but no rows")
+    assert problem.startswith(f"{run / 'poses.csv'}: has a heading but no rows")
     assert last == "error: the only log cannot be used"
 
 
