@@ -99,6 +99,14 @@ def turns_before_steered(logs: Sequence[Log]) -> bool:
     return bool(FINE_DELAYS[best] < 0.0 and errors[best] < EXPLAINED_MAX and errors.max() > 1.2 * errors[best])
 
 
+def two_cars(logs: Sequence[Log]) -> str:
+    """The logs that drive differently from the others, if they fall into two groups, with what to do; else empty."""
+    if not all({"throttle", "steering"} <= set(log.controls) for log in logs):
+        return ""
+    problem = _check_groups(motions(logs), logs)
+    return "" if problem is None else f"{problem.problem}; {problem.expected}"
+
+
 def check_consistency(logs: Sequence[Log]) -> None:
     """Refuse logs of a car whose commands and poses do not belong together, or that are of two cars.
 

@@ -106,9 +106,9 @@ def other_robot(scenario: Scenario, vehicle: Vehicle) -> str:
     if not by_default or (alike and 1.0 / ALIKE_SPEED < vehicle.top_speed / top_speed < ALIKE_SPEED):
         return ""
     return (
-        f"the true robot is the MuSHR, {MUSHR_SIZE[0]:g} m x {MUSHR_SIZE[1]:g} m, up to {top_speed:.2g} m/s fast, "
+        f"the true robot is the MuSHR ({MUSHR_SIZE[0]:g} m x {MUSHR_SIZE[1]:g} m, top speed {top_speed:.2g} m/s) "
         f"because neither the scenario nor the file of {vehicle.name} ({shape.length:g} m x {shape.width:g} m, "
-        f"{vehicle.top_speed:.2g} m/s) states another (truth)"
+        f"top speed {vehicle.top_speed:.2g} m/s) states another (truth)"
     )
 
 

@@ -37,7 +37,7 @@ from kraft.sysid.identify import identify
 from kraft.sysid.interface import GRAPHS, AuxiliarySelection, Identification, Noise, Settings
 from kraft.sysid.model_choice import identify_car, models_of_cars
 from kraft.sysid.parameters import is_unknown_to_planning
-from kraft.sysid.screening import check_consistency
+from kraft.sysid.screening import check_consistency, two_cars
 from kraft.sysid.selection import check_free_parameters, check_settings, excluded_for_planning
 from kraft.sysid.terms import check_controls, has_terms
 from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
@@ -183,7 +183,11 @@ def run_sysid(
         _draw_logs(request, base, split, error)
         report_problems(error, warn)
         raise NegativeResult("the parameters cannot be identified from these logs", error.diagnostics) from None
-    unknown = (*_untested(split, left_out), *_unknown_to_planning(request, identification))
+    unknown = (
+        *_untested(split, left_out),
+        *_of_two_cars(split),
+        *_unknown_to_planning(request, identification),
+    )
     excluded = () if has_terms(base.definition) else _excluded_note(base, settings)
     base, taken_over = with_recorded(base, logs.logs) if request.out is not None else (base, "")
     identification = replace(
@@ -421,6 +425,12 @@ def _untested(split: LogSplit, left_out: Sequence[Stretch]) -> tuple[str, ...]:
         f"{counted(count, 'part')} of the held-out logs {'is' if count == 1 else 'are'} left out of the test: if they "
         "follow large steps of a command, the vehicle reacts more slowly than the models can, and errors are larger",
     )
+
+
+def _of_two_cars(split: LogSplit) -> tuple[str, ...]:
+    """The warning that the logs are of two cars, which may show only with those that are held out."""
+    found = two_cars((*split.fitted, *split.held_out)) if split.held_out else ""
+    return (f"with those held out, {found}",) if found else ()
 
 
 def _not_planned_with(identification: Identification) -> list[str]:

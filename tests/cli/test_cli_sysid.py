@@ -310,6 +310,7 @@ def test_what_predicts_worse_than_before_is_said_and_if_it_is_far_worse_it_is_no
     assert content["identifiable"] == (status == 0)
     refused = f"error: not identified: held-out logs are predicted far better with the initial values {both})"
     assert (f"{refused}; my.yaml was not written" in err) == (status == 1)
+    assert ("warning: with those held out, the logs fall into two groups" in err) == (status == 1)
 
 
 def test_the_first_identification_says_that_it_compiles_and_a_quiet_one_does_not(

@@ -16,7 +16,7 @@ from kraft.errors import Code, InputError
 from kraft.logs.log import Finding, Log
 from kraft.sysid import identify, prediction_errors
 from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
-from kraft.sysid.screening import check_consistency
+from kraft.sysid.screening import check_consistency, two_cars
 from kraft.sysid.smoothing import thinned
 from kraft.sysid.unexplained import unexplained_stretches, without
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
@@ -168,6 +168,8 @@ def test_two_cars_are_told_apart_by_their_logs(other: dict[str, float]) -> None:
     groups = [", ".join(log.name for log in group) for group in (logs()[:4], second)]
     assert all(group in message for group in groups)
     check_consistency(second)
+    assert two_cars(mixed) == message.removeprefix("logs: ")
+    assert not two_cars(second)
 
 
 def test_a_yaw_of_something_else_is_refused() -> None:

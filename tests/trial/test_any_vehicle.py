@@ -92,6 +92,6 @@ def test_what_cannot_be_true_of_a_row_is_said() -> None:
     truck = replace(load_vehicle("mushr-drive"), footprint=Footprint(2.0, 0.8), file="", name="truck")
     assert "the true robot is the MuSHR" in other_robot(slope, truck)
     fast = replace(load_vehicle("mushr-drive"), top_speed=3.0, file="", name="fast")
-    assert "up to 0.71 m/s fast" in other_robot(slope, fast)
+    assert "top speed 0.71 m/s" in other_robot(slope, fast)
     for name in ("mushr", "mushr-drive", "f1tenth", "jackal", "unicycle2"):
         assert other_robot(slope, load_vehicle(name)) == ""
