@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import replace
 from functools import cached_property
 
@@ -22,8 +23,19 @@ from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.vehicle import Vehicle
 
 
+class _Memory(threading.local):
+    """Working memory of single edges and of manoeuvres, which every thread has for itself."""
+
+    def __init__(self, vehicle: Vehicle, problem: Problem) -> None:
+        self.work = lanes_of(vehicle, int(problem.option[at.STEPS]))
+        self.brake = lanes_of(vehicle, int(problem.option[at.BRAKE_STEPS]))
+
+
 class EdgeChecker:
-    """Checks edges, contingencies and poses; the constructor computes the clearance field."""
+    """Checks edges, contingencies and poses; the constructor computes the clearance field.
+
+    Several threads may check at the same time, while none sets parameters or clearances.
+    """
 
     def __init__(
         self,
@@ -41,8 +53,7 @@ class EdgeChecker:
         problem = self._problem
         problem.functions[:] = self._kernels.functions
         self._maps = problem.field, problem.tile, problem.squares, problem.discs, problem.scalar
-        self._work = lanes_of(vehicle, int(problem.option[at.STEPS]))
-        self._brake = lanes_of(vehicle, int(problem.option[at.BRAKE_STEPS]))
+        self._memory = _Memory(vehicle, problem)
 
     @property
     def problem(self) -> Problem:
@@ -51,8 +62,8 @@ class EdgeChecker:
 
     @property
     def work(self) -> Lanes:
-        """Working memory of single edges."""
-        return self._work
+        """Working memory of single edges, of the thread that asks."""
+        return self._memory.work
 
     def steps_of(self, duration: float) -> int:
         """Number of integration steps of an edge.
@@ -69,7 +80,7 @@ class EdgeChecker:
 
     def contingency(self, state: Floats, after: float = 0.0) -> Contingency | None:
         """SAFETY (Alg. 2) of a state: a manoeuvre that is safe until standstill, or None; times begin at `after` s."""
-        self._brake.source[:] = state
+        self._memory.brake.source[:] = state
         return self._first_safe_manoeuvre(math.inf, after)
 
     def manoeuvres(self, state: Floats) -> list[Matrix]:
@@ -77,9 +88,10 @@ class EdgeChecker:
 
         A state follows every `safety.step` s; nothing is checked.
         """
-        self._brake.source[:] = state
-        self._search.brake(self._problem, self._work, self._brake, math.inf)
-        trajectory = self._brake.trajectory.reshape(-1, len(self.vehicle.state), LANE_WIDTH)
+        brake = self._memory.brake
+        brake.source[:] = state
+        self._search.brake(self._problem, self._memory.work, brake, math.inf)
+        trajectory = brake.trajectory.reshape(-1, len(self.vehicle.state), LANE_WIDTH)
         rest, found = list(self.vehicle.rest_indices), []
         for number in range(len(self.vehicle.manoeuvres)):
             resting = np.all(np.abs(trajectory[:, rest, number]) <= self.safety.rest_speed, axis=1)
@@ -95,8 +107,9 @@ class EdgeChecker:
         The edge begins at `start_time` s; before the end of the cycle it must also keep delta(v).
         """
         slack = self._propagate(np.asarray(state, dtype=float), control, duration, start_time)
-        steps, nx = int(self._work.steps[0]), len(self.vehicle.state)
-        return self._work.trajectory.reshape(-1, nx, LANE_WIDTH)[: steps + 1, :, 0].copy(), slack
+        work, nx = self._memory.work, len(self.vehicle.state)
+        steps = int(work.steps[0])
+        return work.trajectory.reshape(-1, nx, LANE_WIDTH)[: steps + 1, :, 0].copy(), slack
 
     def set_delta(self, delta: float) -> None:
         """Set the clearance at rest within the first cycle and along contingencies (m), which does not grow with time.
@@ -170,7 +183,7 @@ class EdgeChecker:
         return ExactClearance(self.workspace, self.vehicle.footprint)
 
     def _propagate(self, state: Floats, control: Floats, duration: float, start_time: float = math.inf) -> float:
-        work, problem = self._work, self._problem
+        work, problem = self._memory.work, self._problem
         work.source[:] = state
         for k, value in enumerate(control):
             work.control[k * LANE_WIDTH] = value
@@ -180,10 +193,11 @@ class EdgeChecker:
 
     def _first_safe_manoeuvre(self, edge_begins: float, brakes_at: float) -> Contingency | None:
         """SAFETY where the edge in lane 0 crosses the end of the cycle, or of `source` if `edge_begins` is infinite."""
-        number = self._search.brake(self._problem, self._work, self._brake, edge_begins)
+        brake = self._memory.brake
+        number = self._search.brake(self._problem, self._memory.work, brake, edge_begins)
         if number < 0:
             return None
-        samples, nx = int(self._brake.steps[number]) + 1, len(self.vehicle.state)
-        states = self._brake.trajectory.reshape(-1, nx, LANE_WIDTH)[:samples, :, number].copy()
+        samples, nx = int(brake.steps[number]) + 1, len(self.vehicle.state)
+        states = brake.trajectory.reshape(-1, nx, LANE_WIDTH)[:samples, :, number].copy()
         times: Floats = brakes_at + self.safety.step * np.arange(samples, dtype=float)
-        return Contingency(self.vehicle.manoeuvres[number], times, states, float(self._brake.slack[number]))
+        return Contingency(self.vehicle.manoeuvres[number], times, states, float(brake.slack[number]))

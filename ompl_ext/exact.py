@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from functools import lru_cache
 
 import fcl
@@ -22,6 +23,15 @@ HEIGHT = 30.0  # of prisms around the plane z = 0; with low prisms FCL's iterati
 SPREAD = 1e-3  # m, above the error of FCL's distances to round shapes: pieces this much farther cannot be nearest
 
 
+class _Memory(threading.local):
+    """FCL's body, which queries move, and working memory of the broad phase; every thread has them for itself."""
+
+    def __init__(self, footprint: Footprint, pieces: int) -> None:
+        self.solid = fcl.CollisionObject(fcl.Box(footprint.length, footprint.width, HEIGHT), fcl.Transform())
+        self.numbers, self.gap = np.empty((3, pieces), np.int32), np.empty(pieces)
+        self.numbers[2] = np.arange(pieces)
+
+
 class ExactClearance:
     """Exact distance between a footprint and the obstacles of a workspace.
 
@@ -32,27 +42,25 @@ class ExactClearance:
     def __init__(self, workspace: Workspace, footprint: Footprint) -> None:
         self._pieces = _pieces(workspace)
         self._offset, self._body = footprint.offset, body_of(footprint)
-        self._solid = fcl.CollisionObject(fcl.Box(footprint.length, footprint.width, HEIGHT), fcl.Transform())
-        count = len(self._pieces.arrays.radius)
-        self._numbers, self._gap = np.empty((3, count), np.int32), np.empty(count)
-        self._numbers[2] = np.arange(count)
+        self._count = len(self._pieces.arrays.radius)
+        self._memory = _Memory(footprint, self._count)
 
     def distance(self, x: float, y: float, theta: float = 0.0) -> float:
         """Distance (m) from the footprint at a pose to the nearest obstacle: 0 in contact, inf without obstacles."""
-        near = self._near(x, y, theta)
-        if self._touches(near):
+        solid, near = self._near(x, y, theta)
+        if self._touches(solid, near):
             return 0.0
         least = math.inf
         for bound, piece in near:
             if bound >= least + SPREAD:
                 break
             data = fcl.DistanceResult()
-            least = min(least, fcl.distance(self._pieces.solid(piece), self._solid, DISTANCE, data))
+            least = min(least, fcl.distance(self._pieces.solid(piece), solid, DISTANCE, data))
         return max(0.0, float(least))  # FCL's distance is -1 for solids that just touch, and its contact test false
 
     def collides(self, x: float, y: float, theta: float = 0.0) -> bool:
         """Whether the footprint at a pose touches an obstacle."""
-        return self._touches(self._near(x, y, theta))
+        return self._touches(*self._near(x, y, theta))
 
     def distances(self, poses: Matrix) -> Floats:
         """`distance` for each row x, y, theta of `poses`."""
@@ -61,9 +69,9 @@ class ExactClearance:
     def lower_bounds(self, poses: Matrix) -> Floats:
         """Lower bound (n,) of `distance` at poses (n, 3), m, without FCL; nothing touches where it exceeds `SPREAD`."""
         bounds = np.full(len(poses), math.inf)
-        if len(self._gap):
-            poses = np.ascontiguousarray(poses, dtype=float)
-            lower_bounds(self._pieces.arrays, poses, self._body, self._numbers, self._gap, bounds)
+        if self._count:
+            poses, memory = np.ascontiguousarray(poses, dtype=float), self._memory
+            lower_bounds(self._pieces.arrays, poses, self._body, memory.numbers, memory.gap, bounds)
         return bounds
 
     def least_distance(self, poses: Matrix) -> float:
@@ -75,23 +83,25 @@ class ExactClearance:
             least = min(least, self.distance(*poses[k]))
         return least
 
-    def _near(self, x: float, y: float, theta: float) -> list[tuple[float, int]]:
-        """Bound and number of the pieces that may be nearest at a pose, to which FCL's body is moved."""
+    def _near(self, x: float, y: float, theta: float) -> tuple[fcl.CollisionObject, list[tuple[float, int]]]:
+        """FCL's body at a pose, and bound and number of the pieces that may be nearest to it."""
         c, s = math.cos(theta), math.sin(theta)
         rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         position = np.array([x + c * self._offset, y + s * self._offset, 0.0])
-        self._solid.setTransform(fcl.Transform(rotation, position))
-        if not len(self._gap):
-            return []
+        memory = self._memory
+        solid, numbers, gap = memory.solid, memory.numbers, memory.gap
+        solid.setTransform(fcl.Transform(rotation, position))
+        if not self._count:
+            return solid, []
         pose = np.array([[x, y, theta]], dtype=float)
-        count = nearest_pieces(self._pieces.arrays, pose, self._body, self._numbers, self._gap)
-        return sorted(zip(self._gap[:count].tolist(), self._numbers[0, :count].tolist(), strict=True))
+        count = nearest_pieces(self._pieces.arrays, pose, self._body, numbers, gap)
+        return solid, sorted(zip(gap[:count].tolist(), numbers[0, :count].tolist(), strict=True))
 
-    def _touches(self, near: list[tuple[float, int]]) -> bool:
+    def _touches(self, solid: fcl.CollisionObject, near: list[tuple[float, int]]) -> bool:
         for bound, piece in near:
             if bound > SPREAD:
                 break
-            if fcl.collide(self._solid, self._pieces.solid(piece), CONTACT, fcl.CollisionResult()):
+            if fcl.collide(solid, self._pieces.solid(piece), CONTACT, fcl.CollisionResult()):
                 return True
         return False
 

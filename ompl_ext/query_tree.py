@@ -115,11 +115,12 @@ class QueryTree(EdgeChecker):
         One in the goal is a plan only if it has clearance, and a contingency like every end of a plan.
         """
         slack = self._propagate(np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), 0.0)
-        unsafe = self.safety.enabled and self.contingency(self._work.source) is None
-        if self._work.at_goal[0] == 1 and (slack < 0.0 or unsafe):
-            self._work.at_goal[0] = 0
+        work = self.work
+        unsafe = self.safety.enabled and self.contingency(work.source) is None
+        if work.at_goal[0] == 1 and (slack < 0.0 or unsafe):
+            work.at_goal[0] = 0
         for each in self._trees:
-            add_root(each.tree, self._work)
+            add_root(each.tree, work)
         return slack
 
     def retain(self, plan: Plan, elapsed: float = 0.0) -> int:

@@ -7,6 +7,7 @@ compiled search.
 from __future__ import annotations
 
 import math
+import threading
 
 import numpy as np
 from ompl import base as ob
@@ -22,25 +23,32 @@ from ompl_ext.vehicle import Vehicle
 DEFAULT_BOUND = math.pi  # of components without a limit or a known range: a turning rate, an angle (SI)
 
 
+class _Memory(threading.local):
+    """State, control and following state of one step, which every thread has for itself."""
+
+    def __init__(self, nx: int, nu: int) -> None:
+        x, u, y = np.zeros(nx), np.zeros(nu), np.zeros(nx)
+        self.vectors = x, u, y, x.data, u.data, y.data  # the last ones are faster than numpy for single numbers
+
+
 class Propagator:
     """State propagator for OMPL: one RK4 step of the vehicle's compiled derivative; counts its calls."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._advance, self._parameters = kernels(vehicle).advance, vehicle.parameter_array
         nx, nu = len(vehicle.state), len(vehicle.controls)
-        self._arrays = np.zeros(nx), np.zeros(nu), np.zeros(nx)
-        self._x, self._u, self._y = (array.data for array in self._arrays)  # faster than numpy for single numbers
+        self._memory = _Memory(nx, nu)
         self._states, self._controls = range(nx), range(nu)
         self.calls = 0
 
     def __call__(self, state: ob.State, control: oc.Control, duration: float, result: ob.State) -> None:
         """Write the state `duration` s after `state` under `control` into `result`."""
         self.calls += 1
-        (x, u, y), y_now = self._arrays, self._y
+        x, u, y, x_now, u_now, y_now = self._memory.vectors
         for k in self._states:
-            self._x[k] = state[k]
+            x_now[k] = state[k]
         for k in self._controls:
-            self._u[k] = control[k]
+            u_now[k] = control[k]
         self._advance(x, u, self._parameters, duration, y)
         for k in self._states:
             result[k] = y_now[k]

@@ -217,7 +217,8 @@ FUNCTIONS = {
     functions.ADVANCE: advance_state,
 }
 ADDRESSES = {number: callee(each, FOLDER, functions.SIGNATURES[number]) for number, each in FUNCTIONS.items()}
-advance = compiled(_advance, folder=FOLDER, signature=types.void(_FLOATS, _FLOATS, _FLOATS, types.float64, _FLOATS))
+_STEP = types.void(_FLOATS, _FLOATS, _FLOATS, types.float64, _FLOATS)
+advance = compiled(_advance, folder=FOLDER, signature=_STEP, nogil=False)  # too short to release the lock for it
 roll_out = compiled(
     _roll_out,
     folder=FOLDER,
