@@ -242,6 +242,11 @@ class CallbackSearch:
             self._error, self._stop[0] = error, 1
             return -1
 
+    @property
+    def cost(self) -> float:
+        """Cost of the best path to the goal (s), infinite without one."""
+        return float(self._tree.best[0])
+
     def best(self) -> tuple[int, bool]:
         """Last node of the best plan, -1 without a plan, and whether it is in the goal."""
         return best_node(self._tree)

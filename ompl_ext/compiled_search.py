@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from ompl import base as ob
@@ -12,7 +13,7 @@ from ompl import control as oc
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.specialise import polish_kernels
-from ompl_ext.kernels.tree_memory import CAPACITY
+from ompl_ext.kernels.tree_memory import CAPACITY, path_to
 from ompl_ext.parameters import ParamSet
 from ompl_ext.plan import TreeView
 from ompl_ext.query import Settings
@@ -102,6 +103,11 @@ class CompiledSearch:
         progress = {at.ITERATIONS: self.dirt.progress.iterations, at.EDGES: self.dirt.progress.edges}
         return progress[which] if which in progress else int(self.dirt.tree_arrays.count[which])
 
+    @property
+    def cost(self) -> float:
+        """Cost of the best path to the goal (s), infinite without one."""
+        return float(self.dirt.tree_arrays.best[0])
+
     def best(self) -> tuple[int, bool]:
         """Last node of the best plan, -1 without a plan, and whether it is in the goal."""
         return self.dirt.best_node()
@@ -118,17 +124,18 @@ class CompiledSearch:
 
     def best_path(self) -> tuple[oc.PathControl | None, bool]:
         """Path of the best plan, None without a plan, and whether it reaches the goal."""
-        plan = self.dirt.plan()
-        if plan is None:
+        node, exact = self.best()
+        if node < 0:
             return None, False
+        tree, nodes = self.dirt.tree_arrays, path_to(self.dirt.tree_arrays, node)
         path, state, control = oc.PathControl(self._si), self._si.allocState(), self._si.allocControl()
-        for row, values, duration in zip(plan.states, plan.controls, plan.durations, strict=False):
-            _write(row, state)
-            _write(values, control)
-            path.append(state, control, float(duration))
-        _write(plan.states[-1], state)
+        for before, after in pairwise(nodes):
+            _write(tree.state[before], state)
+            _write(tree.edge[after, :-1], control)
+            path.append(state, control, float(tree.edge[after, -1]))
+        _write(tree.state[node], state)
         path.append(state)
-        return path, plan.reaches_goal
+        return path, exact
 
 
 def _write(values: Floats, target: ob.State | oc.Control) -> None:

@@ -6,6 +6,7 @@ dominance-informed regions, IROS 2018; retainment, SAFETY and the best-heuristic
 
 from __future__ import annotations
 
+import math
 import time
 import weakref
 from collections.abc import Callable
@@ -28,6 +29,7 @@ from ompl_ext.retainment import remaining_edges
 from ompl_ext.system import PlanarGoal
 from ompl_ext.validity import SafetyValidityChecker
 
+Search: TypeAlias = CompiledSearch | CallbackSearch
 Termination: TypeAlias = Any  # a termination condition, seconds, or a function that returns true to stop
 CALLBACK_BLOSSOM = 4
 
@@ -64,10 +66,11 @@ class DIRT(ob.Planner):
         for name, value in parameters.items():
             self._params[name] = value
         self._configuration, self._bounds = configuration, bounds
-        self._search: CompiledSearch | CallbackSearch | None = None
+        self._search: Search | None = None
         self._search_key: tuple[object, ...] = ()
         self._query: tuple[object, ...] = ()
         self._cleared = False
+        self._added = math.inf  # cost of the best path to the goal that was added to the problem definition (s)
         self._retained: _Retained | None = None
         self._clears = 0
         # OMPL's wrapper passes PlannerData by copy, which OMPL forbids: an override in the class would abort the
@@ -101,7 +104,8 @@ class DIRT(ob.Planner):
     ) -> ob.PlannerStatus:
         """Grow the tree until the condition holds; a repeated call continues.
 
-        The arguments are those of OMPL's `solve`: seconds, a function with an optional interval, or a termination
+        A better path to the goal is added to the problem definition when it is found: conditions may look for it.  The
+        arguments are those of OMPL's `solve`: seconds, a function with an optional interval, or a termination
         condition.
         """
         limit = next((each for each in (ptc, solveTime, terminationConditionFn) if each is not None), 1.0)
@@ -127,8 +131,8 @@ class DIRT(ob.Planner):
         if self._retained is not None:
             self._search.retain(self._retained.parents, self._retained.controls, self._retained.durations)
             self._retained = None
-        self._search.grow(_condition(limit, checkInterval))  # made here: the maps are not the search
-        return self._report(definition, goal)
+        self._grow(self._search, definition, _condition(limit, checkInterval))  # made here: the maps are not the search
+        return self._report(self._search, definition, goal)
 
     def clear(self) -> None:
         """Empty the tree; the next query uses the next seed."""
@@ -171,7 +175,7 @@ class DIRT(ob.Planner):
         """Visits since the last `clear`."""
         return self._search.count(at.ITERATIONS) if self._search is not None else 0
 
-    def _add_starts(self, search: CompiledSearch | CallbackSearch) -> bool:
+    def _add_starts(self, search: Search) -> bool:
         inputs = self.getPlannerInputStates()
         while (state := inputs.nextStart()) is not None:
             search.add_root(state)
@@ -194,13 +198,13 @@ class DIRT(ob.Planner):
             self.getPlannerInputStates().restart()
         if self._cleared:
             self._clears += 1
-        self._cleared, self._query = False, query
+        self._cleared, self._query, self._added = False, query, math.inf
         if isinstance(self._search, CompiledSearch) and key == self._search_key:
             self._search.restart(int(self._params["seed"]) + self._clears)
         else:
             self._search, self._search_key = self._make_search(goal), key
 
-    def _make_search(self, goal: ob.Goal) -> CompiledSearch | CallbackSearch:
+    def _make_search(self, goal: ob.Goal) -> Search:
         si, checker = self.getSpaceInformation(), self.getSpaceInformation().getStateValidityChecker()
         seed = int(self._params["seed"]) + self._clears
         compiled = isinstance(checker, SafetyValidityChecker) and isinstance(goal, PlanarGoal)
@@ -222,14 +226,34 @@ class DIRT(ob.Planner):
             seed,
         )
 
-    def _report(self, definition: ob.ProblemDefinition, goal: ob.Goal) -> ob.PlannerStatus:
-        assert self._search is not None
-        path, exact = self._search.best_path()
+    def _grow(self, search: Search, definition: ob.ProblemDefinition, ends: Callable[[], bool]) -> None:
+        """Grow the tree, and add each better path to the goal to the problem definition before `ends` is asked."""
+        if not definition.hasExactSolution():  # its owner has cleared it
+            self._added = math.inf
+
+        def stop() -> bool:
+            self._add_better_path(search, definition)
+            return ends()
+
+        search.grow(stop)
+        self._add_better_path(search, definition)
+
+    def _add_better_path(self, search: Search, definition: ob.ProblemDefinition) -> None:
+        """Add the best path to the goal to the problem definition, if it is better than the last one."""
+        if search.cost < self._added:
+            path, _ = search.best_path()
+            definition.addSolutionPath(path, False, 0.0, self.getName())
+            self._added = search.cost
+
+    def _report(self, search: Search, definition: ob.ProblemDefinition, goal: ob.Goal) -> ob.PlannerStatus:
+        """Status; a path that does not reach the goal is added to the problem definition here."""
+        path, exact = search.best_path()
         if path is None:
             return ob.PlannerStatus(ob.PlannerStatus.TIMEOUT)
-        end = path.getState(path.getStateCount() - 1)
-        difference = 0.0 if exact else float(goal.distanceGoal(end)) if hasattr(goal, "distanceGoal") else -1.0
-        definition.addSolutionPath(path, not exact, difference, self.getName())
+        if not exact:
+            end = path.getState(path.getStateCount() - 1)
+            difference = float(goal.distanceGoal(end)) if hasattr(goal, "distanceGoal") else -1.0
+            definition.addSolutionPath(path, True, difference, self.getName())
         return ob.PlannerStatus(True, not exact)
 
 

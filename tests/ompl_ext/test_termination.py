@@ -83,3 +83,47 @@ def test_an_exhausted_budget_is_a_timeout_or_an_approximate_solution() -> None:
     calls = iter([False, True, True, True])
     assert planner.solve(lambda: next(calls)) == STATUS.APPROXIMATE_SOLUTION
     assert setup.getProblemDefinition().getSolutionDifference() > 0.25
+
+
+@CALLBACKS
+def test_a_condition_sees_the_first_path_to_the_goal_while_dirt_solves(callbacks: bool) -> None:
+    setup = arena()
+    definition = setup.getProblemDefinition()
+    planner = DIRT(setup.getSpaceInformation(), use_callbacks=callbacks)
+    setup.setPlanner(planner)
+    setup.setup()
+    exact = ob.exactSolnPlannerTerminationCondition(definition)
+    for _ in range(2):  # the second time without a path in the definition
+        asked: list[int] = []
+
+        def late(asked: list[int] = asked) -> bool:
+            asked.append(planner.iterations)
+            return len(asked) > 100_000
+
+        assert planner.solve(ob.plannerOrTerminationCondition(exact, ob.PlannerTerminationCondition(late)))
+        assert len(asked) < 100_000
+        assert definition.hasExactSolution()
+        assert definition.getSolutionCount() == 1
+        definition.clearSolutionPaths()
+
+
+@CALLBACKS
+def test_better_paths_are_added_once_each(callbacks: bool) -> None:
+    setup = arena()
+    definition = setup.getProblemDefinition()
+    planner = DIRT(setup.getSpaceInformation(), use_callbacks=callbacks)
+    setup.setPlanner(planner)
+    setup.setup()
+    lengths: list[float] = []  # while it solves
+
+    def ends() -> bool:
+        assert definition.getSolutionCount() <= len(lengths) + 1
+        if definition.getSolutionCount() > len(lengths):
+            lengths.append(definition.getSolutionPath().length())
+        return len(lengths) == 3
+
+    assert planner.solve(ends) == STATUS.EXACT_SOLUTION
+    assert sorted(lengths, reverse=True) == lengths
+    assert len(set(lengths)) == 3
+    assert planner.solve(ob.plannerAlwaysTerminatingCondition()) == STATUS.EXACT_SOLUTION
+    assert definition.getSolutionCount() == 3
