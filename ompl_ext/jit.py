@@ -32,6 +32,7 @@ import numba
 from numba import types
 from numba.core import cgutils, event
 from numba.core.caching import NullCache
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 
@@ -42,6 +43,7 @@ _config: Any = numba.config
 _codegen: Any = cgutils
 _intrinsic: Any = intrinsic
 _event: Any = event
+_compiler_lock: Any = global_compiler_lock
 F = TypeVar("F", bound=Callable[..., object])
 
 
@@ -133,13 +135,14 @@ def compiled(function: F, *, folder: Path | None = None, signature: object = Non
 
 @contextmanager
 def _caching_in(folder: Path) -> Iterator[None]:
-    """Make numba cache in `folder` what is decorated meanwhile."""
-    before = _config.CACHE_DIR
-    _config.CACHE_DIR = str(folder)  # read once, when njit attaches the cache
-    try:
-        yield
-    finally:
-        _config.CACHE_DIR = before
+    """Make numba cache in `folder` what is decorated meanwhile; other threads that compile wait."""
+    with _compiler_lock:
+        before = _config.CACHE_DIR
+        _config.CACHE_DIR = str(folder)  # read once, when njit attaches the cache
+        try:
+            yield
+        finally:
+            _config.CACHE_DIR = before
 
 
 class _Part(CPUDispatcher):

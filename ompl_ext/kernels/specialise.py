@@ -12,6 +12,7 @@ import importlib
 import importlib.util
 import sys
 import tempfile
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,10 +30,8 @@ from ompl_ext.vehicle import Vehicle
 
 T = TypeVar("T")
 FOR_ALL_VEHICLES = ("sst",)  # modules that few methods use and that do not depend on the vehicle
-_being_compiled: list[Vehicle] = []
 _kernels: dict[str, VehicleKernels] = {}
 _steps: dict[str, StepKernels] = {}
-_layouts_being_compiled: list[Layout] = []
 
 
 class Layout(NamedTuple):
@@ -70,18 +69,29 @@ class StepKernels:
     block: int
 
 
+class _BeingCompiled(threading.local):
+    """Subjects for which this thread executes modules, the innermost last."""
+
+    def __init__(self) -> None:
+        self.vehicles: list[Vehicle] = []
+        self.layouts: list[Layout] = []
+
+
+_being_compiled = _BeingCompiled()
+
+
 def vehicle_being_compiled() -> Vehicle:
     """Vehicle for which a module is being executed."""
-    if not _being_compiled:
+    if not _being_compiled.vehicles:
         raise ImportError("this module is executed once per vehicle; call ompl_ext.kernels.specialise.kernels(vehicle)")
-    return _being_compiled[-1]
+    return _being_compiled.vehicles[-1]
 
 
 def layout_being_compiled() -> Layout:
     """Layout for which a module is being executed."""
-    if not _layouts_being_compiled:
+    if not _being_compiled.layouts:
         raise ImportError("this module is executed once per layout of a state; use ompl_ext.kernels.specialise.kernels")
-    return _layouts_being_compiled[-1]
+    return _being_compiled.layouts[-1]
 
 
 def is_cached(vehicle: Vehicle) -> bool:
@@ -189,7 +199,7 @@ def layout_module_of(vehicle: Vehicle, source: str) -> ModuleType:
     name = _module_name(layout.key, source)
     module = sys.modules.get(name)
     if module is None:
-        module = _execute_as(name, source, _layouts_being_compiled, layout)
+        module = _execute_as(name, source, _being_compiled.layouts, layout)
         _layout_marker(layout, source).touch()
     return module
 
@@ -242,7 +252,7 @@ def _process_folder() -> Path:
 
 
 def _execute(vehicle: Vehicle, source: str) -> ModuleType:
-    return _execute_as(_module_name(_key(vehicle), source), source, _being_compiled, vehicle)
+    return _execute_as(_module_name(_key(vehicle), source), source, _being_compiled.vehicles, vehicle)
 
 
 def _execute_as(name: str, source: str, being_compiled: list[T], subject: T) -> ModuleType:

@@ -11,6 +11,8 @@ import pytest
 from ompl import base as ob
 from support.ompl_setup import arena
 
+from kraft.vehicles.benchmark import BENCHMARK
+from ompl_ext.kernels import specialise
 from ompl_ext.obstacles import Circle, box
 from ompl_ext.system import SimpleSetup
 
@@ -87,3 +89,13 @@ def test_several_threads_get_the_answers_of_one(answer_of: Callable[[SimpleSetup
 
     with ThreadPoolExecutor(THREADS) as pool:
         assert list(pool.map(wrong, range(THREADS))) == THREADS * [0]
+
+
+def test_a_thread_does_not_see_for_which_vehicle_another_one_compiles() -> None:
+    specialise._being_compiled.vehicles.append(BENCHMARK)
+    try:
+        assert specialise.vehicle_being_compiled() is BENCHMARK
+        with ThreadPoolExecutor(1) as pool, pytest.raises(ImportError, match="once per vehicle"):
+            pool.submit(specialise.vehicle_being_compiled).result()
+    finally:
+        specialise._being_compiled.vehicles.pop()
