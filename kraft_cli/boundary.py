@@ -14,6 +14,7 @@ import typer
 from kraft.errors import Code, Defect, Diagnostic, InputError, KraftError, MissingError, NegativeResult, Unreachable
 from kraft.files import EXPECTED
 from kraft_cli.exit_status import ExitStatus
+from kraft_cli.signals import status_of, word_of
 from kraft_cli.terminal import Terminal, diagnostic_json, discard
 from ompl_ext.cache_error import CacheError
 
@@ -31,9 +32,9 @@ def guarded(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus
     """Run a command and report every exception on stderr."""
     try:
         status = _flushed(terminal, command)
-    except KeyboardInterrupt:
-        terminal.problem("interrupted")
-        return ExitStatus.INTERRUPTED
+    except KeyboardInterrupt as error:
+        terminal.problem(word_of(error))
+        return status_of(error)
     except BrokenPipeError:
         discard(sys.stdout)
         return ExitStatus.DONE

@@ -1,19 +1,24 @@
-"""Entry point of the process of `kraft`: no traceback of an interrupt before the command, and none counts after it."""
+"""Entry point of the process of `kraft`: no traceback of a signal before the command, and none counts after it."""
 
 from __future__ import annotations
 
 import signal
 import sys
 
+from kraft_cli.signals import raise_stopped, set_handler, status_of, word_of
+from ompl_ext.signals import STOPPING
+
 
 def main() -> int:
     """Run the command line of this process and return its exit code."""
     try:
+        set_handler(raise_stopped)
         from kraft_cli.main import main as run
 
         status = run()
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        status = 130  # ExitStatus.INTERRUPTED, which may not be imported yet
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second interrupt would replace the exit code while Python ends
+    except KeyboardInterrupt as error:
+        print(word_of(error), file=sys.stderr)
+        status = int(status_of(error))
+    for number in STOPPING:
+        signal.signal(number, signal.SIG_IGN)  # another signal would replace the exit code while Python ends
     return status

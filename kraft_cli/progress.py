@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import signal
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Any
+from types import TracebackType
+from typing import TYPE_CHECKING
 
 from kraft.evaluation import Experiment, Observer, TrialRow
 from kraft.evaluation.journal import Key
 from kraft.text import counted
 from kraft.trial.result import outcome_text
+from kraft_cli.signals import Stopped
 from kraft_cli.terminal import Terminal
 
 if TYPE_CHECKING:
@@ -21,30 +21,18 @@ if TYPE_CHECKING:
 
 
 class Interrupts:
-    """Handler of SIGINT: the first interrupt requests a stop, the second one raises KeyboardInterrupt."""
+    """Handler of the signals that end an evaluation: the first one while trials run requests a stop, others raise."""
 
     def __init__(self, terminal: Terminal) -> None:
-        self.stop_requested = False
+        self.trials_run = False
+        self.received = 0  # number of the signal that requested the stop
         self._terminal = terminal
-        self._before: Any = None
 
-    def __enter__(self) -> Interrupts:
-        """Install the handler."""
-        try:
-            self._before = signal.signal(signal.SIGINT, self._interrupted)
-        except ValueError:  # not in the main thread, which alone handles signals
-            self._before = None
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Restore the earlier handler."""
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
-
-    def _interrupted(self, _: int, __: FrameType | None) -> None:
-        if self.stop_requested:
-            raise KeyboardInterrupt
-        self.stop_requested = True
+    def handle(self, number: int) -> None:
+        """Request a stop, or raise `Stopped`."""
+        if self.received or not self.trials_run:
+            raise Stopped(number)
+        self.received = number
         self._terminal.problem("waiting for the running trials; interrupt again to abort them")
 
 
@@ -52,7 +40,6 @@ class Progress(Observer):
     """Bars for the rows in progress, a line for each finished row; without a terminal a line for each trial."""
 
     def __init__(self, terminal: Terminal, interrupts: Interrupts) -> None:
-        self.has_started = False
         self._terminal, self._interrupts = terminal, interrupts
         self._counts: dict[tuple[str, str], Counter[str]] = {}
         self._trials = self._total = self._done = 0
@@ -75,7 +62,7 @@ class Progress(Observer):
 
     def stop_requested(self) -> bool:
         """Whether an interrupt has requested a stop."""
-        return self._interrupts.stop_requested
+        return self._interrupts.received != 0
 
     def log(self, text: str) -> None:
         """Print a message above the bars."""
@@ -86,7 +73,7 @@ class Progress(Observer):
 
     def started(self, experiment: Experiment, folder: Path | None, rows: Mapping[Key, TrialRow]) -> None:
         """Count the finished trials, and start the bars."""
-        self.has_started = True
+        self._interrupts.trials_run = True
         self._counts = {cell.key: Counter() for cell in experiment.cells}
         self._trials, self._total = experiment.trials, experiment.trials * len(experiment.cells)
         for row in rows.values():

@@ -1,4 +1,4 @@
-"""Ctrl-C while numba compiles: recorded, and raised between two passes of the compiler.
+"""Ctrl-C and other signals while numba compiles: recorded, and handled between two passes of the compiler.
 
 LLVM calls back into Python while it compiles and while it loads (llvmlite's object cache).  An exception raised in such
 a callback, `KeyboardInterrupt` included, is printed and lost.  Between two passes it is safe to raise; the longest pass
@@ -9,35 +9,40 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
+from typing import Any, TypeAlias
 
 from numba.core import event
 
+from ompl_ext.signals import STOPPING
+
 _event: Any = event  # numba has no types
 
+Handler: TypeAlias = Callable[[int, FrameType | None], Any]
 
-class _PendingInterrupt(event.Listener):
-    """Record of an interrupt, raised when the next pass begins."""
 
-    def __init__(self) -> None:
-        self._pending = False
+class _PendingSignal(event.Listener):
+    """Record of a signal, passed to the earlier handler when the next pass begins."""
 
-    def handle_signal(self, _: int, __: FrameType | None) -> None:
-        """Record the interrupt (signal handler)."""
-        self._pending = True
+    def __init__(self, before: Mapping[int, Handler]) -> None:
+        self._before = before
+        self._pending = 0
 
-    def raise_pending(self) -> None:
-        """Raise the interrupt if there was one."""
-        if self._pending:
-            self._pending = False
-            raise KeyboardInterrupt
+    def record(self, number: int, _: FrameType | None) -> None:
+        """Record a signal (signal handler)."""
+        self._pending = number
+
+    def handle(self) -> None:
+        """Call the earlier handler if there was a signal; it may raise."""
+        number, self._pending = self._pending, 0
+        if number:
+            self._before[number](number, None)
 
     def on_start(self, event: object) -> None:
-        """Raise at the begin of a pass (called by numba)."""
-        self.raise_pending()
+        """Handle a signal at the begin of a pass (called by numba)."""
+        self.handle()
 
     def on_end(self, event: object) -> None:
         """Do nothing at the end of a pass (called by numba): an exception of the pass must not be replaced."""
@@ -45,21 +50,26 @@ class _PendingInterrupt(event.Listener):
 
 @contextmanager
 def interrupts_between_passes() -> Iterator[Callable[[], None]]:
-    """Context for compilation: interrupts are raised between passes of numba, by the yielded function, or at the end.
+    """Context for compilation: signals are handled between passes of numba, by the yielded function, or at the end.
 
+    It concerns the signals of `STOPPING` that have a handler in Python, such as the one that raises KeyboardInterrupt.
     It has no effect outside the main thread, where signals are ignored, and within another such context, which then
-    raises them.
+    handles them.
     """
-    before = signal.getsignal(signal.SIGINT)
-    nested = isinstance(getattr(before, "__self__", None), _PendingInterrupt)
-    if nested or before in (signal.SIG_IGN, None) or threading.current_thread() is not threading.main_thread():
+    before: dict[int, Handler] = {
+        number: handler for number in STOPPING if callable(handler := signal.getsignal(number))
+    }
+    nested = any(isinstance(getattr(handler, "__self__", None), _PendingSignal) for handler in before.values())
+    if nested or not before or threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
-    pending = _PendingInterrupt()
-    signal.signal(signal.SIGINT, pending.handle_signal)
+    pending = _PendingSignal(before)
+    for number in before:
+        signal.signal(number, pending.record)
     try:
         with _event.install_listener("numba:run_pass", pending):
-            yield pending.raise_pending
+            yield pending.handle
     finally:
-        signal.signal(signal.SIGINT, before)
-        pending.raise_pending()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        pending.handle()

@@ -19,6 +19,7 @@ from typing import Final, TypeAlias
 from kraft.errors import Defect, KraftError
 from kraft.evaluation.job import POLL, Job, Log, StopRequested, failed_row, perform
 from kraft.evaluation.journal import Key, TrialRow
+from ompl_ext.signals import STOPPING
 
 DEATHS: Final = 2  # workers that die in a trial, after which it has failed
 FAILED_STARTS: Final = 3  # workers in a row that die before they are ready
@@ -147,7 +148,7 @@ def _start_worker() -> _Worker:
     context = get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=serve, args=(theirs,), daemon=True)
-    with _one_thread_each(), _no_interrupt():
+    with _one_thread_each(), _no_signals():
         process.start()
     theirs.close()
     return _Worker(process, ours)
@@ -169,10 +170,10 @@ def _one_thread_each() -> Iterator[None]:
 
 
 @contextmanager
-def _no_interrupt() -> Iterator[None]:
-    """Block SIGINT within the block, also in processes that start in it, until they unblock it."""
+def _no_signals() -> Iterator[None]:
+    """Block the signals that end kraft within the block, also in processes that start in it: they may ignore them."""
     resource_tracker.ensure_running()  # otherwise the first start within the block starts it, which unblocks SIGINT
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
     try:
         yield
     finally:
@@ -199,7 +200,8 @@ ONE_THREAD: Final = dict.fromkeys(
 
 def serve(pipe: Connection) -> None:
     """Run the jobs of the parent process until it closes the pipe or dies."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles interrupts
+    for number in STOPPING:  # they reach every process of a group, and the parent process handles them
+        signal.signal(number, signal.SIG_IGN)
     os.dup2(2, 1)  # what a trial prints must not mix with the results on stdout
     try:
         pipe.send(None)

@@ -35,7 +35,7 @@ from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
 from kraft.robot.guard import run_guard
 from kraft.robot.maps import run_maps, with_map
-from kraft.robot.priority import STOPPING, preferred_planner, process_context, short_collections, shorten_collections
+from kraft.robot.priority import preferred_planner, process_context, short_collections, shorten_collections
 from kraft.robot.protocol import (
     Begin,
     Check,
@@ -55,6 +55,7 @@ from kraft.robot.tracker import warm_up
 from kraft.scenario import OccupancyMap, Task
 from kraft.trial.result import cycle_content
 from ompl_ext.arrays import Floats
+from ompl_ext.signals import STOPPING
 
 LEAD: Final = 0.3
 """Time before a cycle at which it is decided, s: the decision takes a part of it, and travels to the controller."""

@@ -18,8 +18,8 @@ from multiprocessing.context import ForkContext, SpawnContext
 from pathlib import Path
 from typing import Final
 
-STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that stop a drive: Ctrl-C, the end of a service or of a time limit, the end of a terminal or of a session."""
+from ompl_ext.signals import STOPPING
+
 REAL_TIME: Final = 20
 """Priority among real-time processes."""
 PLANNER: Final = -10

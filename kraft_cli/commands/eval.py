@@ -62,6 +62,7 @@ def eval_(
     Collisions are results, not errors.
     """
     from kraft_cli.progress import Interrupts, Progress
+    from kraft_cli.signals import handled
     from kraft_cli.work.evaluate import EvalRequest, complete_request, resume_command, run_evaluation
 
     terminal: Terminal = context.obj
@@ -82,17 +83,18 @@ def eval_(
             realtime,
         )
     )
-    with Interrupts(terminal) as interrupts, Progress(terminal, interrupts) as progress:
+    interrupts = Interrupts(terminal)
+    with handled(interrupts.handle), Progress(terminal, interrupts) as progress:
         try:
             evaluation = run_evaluation(request, progress)
         except BaseException:
             progress.close()
-            if progress.has_started:
+            if interrupts.trials_run:
                 terminal.problem(f"every finished trial is kept; to resume: {resume_command(request)}")
             raise
     if not evaluation.complete:
         terminal.problem(f"stopped; every finished trial is kept; to resume: {resume_command(request)}")
-        return ExitStatus.INTERRUPTED
+        return ExitStatus(128 + interrupts.received)
     return _print_results(terminal, evaluation, json)
 
 

@@ -9,6 +9,7 @@ import typer
 
 from kraft_cli.commands.options import Json
 from kraft_cli.exit_status import ExitStatus
+from kraft_cli.signals import status_of
 from kraft_cli.terminal import Terminal
 
 if TYPE_CHECKING:
@@ -65,12 +66,12 @@ def record(
 
     try:
         record_logs(request, terminal.info, ended)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         kept = (
             f"; {len(done)} of {counted(done[-1].of, 'run')} kept in {out}" if done else " before the first run ended"
         )
         terminal.problem(f"stopped{kept}")
-        return ExitStatus.INTERRUPTED
+        return status_of(error)
     if json:
         terminal.json("kraft.record/1", _content(scenario, seed, out, done))
     else:

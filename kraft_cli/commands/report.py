@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from kraft_cli.exit_status import ExitStatus
+from kraft_cli.signals import status_of
 from kraft_cli.terminal import Terminal
 
 Folder = Annotated[Path, typer.Argument(metavar="RESULTS", help="Results folder of kraft eval.")]
@@ -43,12 +43,16 @@ def report(context: typer.Context, results: Folder, out: Out = None, serve: Serv
 
 
 def _serve(terminal: Terminal, results: Path) -> ExitStatus:
-    """Serve the page until an interrupt, which is the way to end it."""
+    """Serve the page until a signal; an interrupt is the usual way to end it."""
     from kraft.evaluation.report.server import ReportServer
     from kraft_cli.work.run import run_command
 
-    with ReportServer(results, run_command) as server, suppress(KeyboardInterrupt):
+    with ReportServer(results, run_command) as server:
         terminal.data(server.url)
         terminal.info("the page is for this machine only; Ctrl-C ends it")
-        server.serve_forever()
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt as error:
+            if status_of(error) is not ExitStatus.INTERRUPTED:
+                raise
     return ExitStatus.DONE

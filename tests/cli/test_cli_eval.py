@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from kraft.evaluation.suite import load_suite
 from kraft.evaluation.table import COLUMNS
 from kraft_cli.main import main
 from kraft_cli.progress import Interrupts, Progress
+from kraft_cli.signals import Stopped
 from kraft_cli.terminal import Terminal
 
 EVAL = (ROOT / "docs" / "eval.md").read_text(encoding="utf-8")
@@ -297,18 +299,19 @@ def test_quiet_says_nothing_and_bars_are_only_for_a_terminal(inline: None) -> No
     assert err.getvalue() == ""
 
 
-def test_the_first_interrupt_is_a_request_and_handlers_are_as_before_afterwards() -> None:
-    import signal
-
-    before = signal.getsignal(signal.SIGINT)
+def test_the_first_signal_while_trials_run_is_a_request_and_all_others_raise() -> None:
     terminal = Terminal(io.StringIO(), io.StringIO())
-    with Interrupts(terminal) as interrupts, Progress(terminal, interrupts) as progress:
-        assert not progress.stop_requested()
-        signal.raise_signal(signal.SIGINT)
-        assert progress.stop_requested()
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-    assert signal.getsignal(signal.SIGINT) is before
+    interrupts = Interrupts(terminal)
+    progress = Progress(terminal, interrupts)
+    with pytest.raises(Stopped):
+        interrupts.handle(signal.SIGINT)
+    interrupts.trials_run = True
+    assert not progress.stop_requested()
+    interrupts.handle(signal.SIGTERM)
+    assert progress.stop_requested()
+    with pytest.raises(Stopped) as stopped:
+        interrupts.handle(signal.SIGHUP)
+    assert stopped.value.number == signal.SIGHUP
 
 
 def test_every_option_and_every_key_is_described(inline: None, capsys: pytest.CaptureFixture[str]) -> None:

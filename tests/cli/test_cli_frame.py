@@ -6,6 +6,7 @@ import errno
 import io
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -27,6 +28,7 @@ from kraft.errors import (
 from kraft_cli.boundary import guarded
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.main import main
+from kraft_cli.signals import Stopped
 from kraft_cli.terminal import Terminal
 
 
@@ -55,6 +57,8 @@ def ended_with(error: BaseException, *, traceback: bool = False) -> tuple[ExitSt
         (KraftError("something else"), 70),
         (ZeroDivisionError("division by zero"), 70),
         (KeyboardInterrupt(), 130),
+        (Stopped(signal.SIGTERM), 143),
+        (Stopped(signal.SIGHUP), 129),
     ],
 )
 def test_each_kind_of_error_has_its_exit_code_and_no_traceback(error: BaseException, status: int) -> None:

@@ -1,11 +1,13 @@
-"""Ctrl-C at any time: one word, exit code 130, and nothing left that stands in the way."""
+"""Ctrl-C, SIGTERM and SIGHUP at any time: one word, an exit code, and nothing left that stands in the way."""
 
 from __future__ import annotations
 
 import os
+import pty
 import signal
 import subprocess
 import sys
+import textwrap
 import threading
 import time
 from pathlib import Path
@@ -17,7 +19,9 @@ from support.planning_process import planned, planned_elsewhere
 
 from kraft_cli import entry
 from kraft_cli import main as command_line
+from kraft_cli.signals import Stopped, handled
 from ompl_ext.interrupts import interrupts_between_passes
+from ompl_ext.signals import STOPPING
 
 
 def interrupt() -> None:
@@ -71,6 +75,18 @@ def test_interrupts_mean_what_they_did_before_afterwards() -> None:
         signal.signal(signal.SIGINT, before)
 
 
+def test_a_signal_without_a_handler_of_python_is_left_alone_and_others_keep_their_number() -> None:
+    received = list[int]()
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    with interrupts_between_passes():
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    with handled(received.append), interrupts_between_passes() as check:
+        signal.raise_signal(signal.SIGTERM)
+        assert received == []
+        check()
+        assert received == [signal.SIGTERM]
+
+
 def test_another_thread_may_compile() -> None:
     errors: list[BaseException] = []
 
@@ -87,18 +103,61 @@ def test_another_thread_may_compile() -> None:
     assert errors == []
 
 
-def test_an_interrupt_while_modules_load_is_quiet(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("error", "status", "word"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (Stopped(signal.SIGTERM), 143, "terminated"),
+        (Stopped(signal.SIGHUP), 129, "hung up"),
+    ],
+)
+def test_a_signal_while_modules_load_is_quiet_and_others_after_it_are_ignored(
+    error: BaseException, status: int, word: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted() -> int:
-        raise KeyboardInterrupt
+    def stopped() -> int:
+        raise error
 
     set_handlers = list[tuple[object, ...]]()
-    monkeypatch.setattr(command_line, "main", interrupted)
+    monkeypatch.setattr(command_line, "main", stopped)
+    monkeypatch.setattr("kraft_cli.entry.set_handler", lambda _: None)
     monkeypatch.setattr("kraft_cli.entry.signal.signal", lambda *arguments: set_handlers.append(arguments))
-    assert entry.main() == 130
-    assert capsys.readouterr().err == "interrupted\n"
-    assert set_handlers == [(signal.SIGINT, signal.SIG_IGN)]
+    assert entry.main() == status
+    assert capsys.readouterr().err == f"{word}\n"
+    assert set_handlers == [(number, signal.SIG_IGN) for number in STOPPING]
+
+
+def test_signals_that_are_ignored_stay_so_and_an_echo_is_ignored() -> None:
+    received = list[int]()
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with handled(received.append):
+            for number in (signal.SIGHUP, signal.SIGTERM, signal.SIGTERM, signal.SIGINT):
+                signal.raise_signal(number)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert received == [signal.SIGTERM, signal.SIGINT]
+
+
+def test_a_terminal_that_was_closed_gets_no_more_messages_and_hinders_nothing() -> None:
+    program = textwrap.dedent("""
+        import time
+        from kraft_cli import signals, terminal
+        signals.set_handler(signals.raise_stopped)
+        print("x", flush=True)
+        try:
+            time.sleep(30)
+        except KeyboardInterrupt as error:
+            terminal.Terminal().problem("lost")
+            raise SystemExit(signals.status_of(error))
+    """)
+    process, screen = pty.fork()
+    if process == 0:
+        os.chdir(ROOT)
+        os.execv(sys.executable, [sys.executable, "-c", program])
+    assert os.read(screen, 1) == b"x"
+    os.close(screen)
+    assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == 129
 
 
 def test_an_interrupt_of_the_first_compilation_leaves_a_cache_that_serves_and_a_simpler_processor_plans_the_same(

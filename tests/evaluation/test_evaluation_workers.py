@@ -160,27 +160,30 @@ def test_workers_end_when_the_process_that_gave_the_jobs_is_killed(tmp_path: Pat
     assert len(list(left.iterdir())) == before
 
 
-def test_interrupts_stay_blocked_where_the_first_worker_starts() -> None:
+def test_signals_stay_blocked_where_the_first_worker_starts() -> None:
     program = (
-        "import signal; from multiprocessing import resource_tracker; from kraft.evaluation.processes import _no_interrupt\n"
-        "with _no_interrupt():\n"
+        "import signal; from multiprocessing import resource_tracker\n"
+        "from kraft.evaluation.processes import STOPPING, _no_signals\n"
+        "with _no_signals():\n"
         "    resource_tracker.getfd()\n"
-        "    print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))\n"
+        "    print(set(STOPPING) <= signal.pthread_sigmask(signal.SIG_BLOCK, []))\n"
     )
     assert (
         subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "True\n"
     )
 
 
-def test_an_interrupt_finishes_what_runs_and_names_the_command_that_resumes(
-    tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_a_signal_finishes_what_runs_and_names_the_command_that_resumes(
+    number: signal.Signals, status: int, tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
     process = kraft(fake_trials.slow, *COMMAND, "--jobs", "2", "--out", str(out), "--json")
     until_lines(out / "trials.jsonl", 2)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to everybody in the group
+    os.killpg(process.pid, number)  # as a terminal does: to everybody in the group
     stdout, err = process.communicate(timeout=60)
-    assert (process.returncode, stdout) == (130, "")
+    assert (process.returncode, stdout) == (status, "")
+    assert "died" not in err
     assert "interrupt again" in err
     assert "Traceback" not in err
     lines = (out / "trials.jsonl").read_bytes()
