@@ -208,13 +208,14 @@ def _note_width(name: str, value: str) -> float:
 class LegendEntry:
     """One explanation; a `scale` is drawn as the colours from 0 to its largest value.
 
-    `thickness` is that of a line or the size of dots, pt.
+    `thickness` is that of a line or the size of dots, pt; `face` the colour within an outline.
     """
 
     text: str
     kind: Literal["line", "dashes", "dots", "outline", "scale"]
     colour: str = INK
     thickness: float = 1.8
+    face: str = "none"
     scale: ScalarMappable | None = None
 
     @property
@@ -251,7 +252,7 @@ def _draw_entry(figure: Figure, page: Page, entry: LegendEntry, left: float, mid
             line_style: Style = {"color": entry.colour, "linewidth": entry.thickness, "transform": inches}
             figure.add_artist(Line2D(*ends, linestyle=DASHED if entry.kind == "dashes" else "solid", **line_style))
         else:
-            shape: Style = {"fill": False, "edgecolor": entry.colour, "linewidth": 0.8, "transform": inches}
+            shape: Style = {"facecolor": entry.face, "edgecolor": entry.colour, "linewidth": 0.8, "transform": inches}
             figure.add_artist(Box((left, height - 0.07), OUTLINE, 0.14, **shape))
     style: Style = {"fontsize": LABEL, "color": INK, "va": "center_baseline", "transform": inches}
     figure.text(text_left, height, entry.text, **style)

@@ -168,7 +168,10 @@ def _legend_entries(
         LegendEntry("true values", "line", INK, 1.6),
         LegendEntry("camera", "dots", OBSERVATION, 2 * OBSERVATION_SIZE),
         LegendEntry(f"vehicle every {run_footprint_interval(drive):g} s", "outline", INK),
-        *([LegendEntry("unknown to the planner", "outline", HIDDEN[hidden[0].kind][1])] if hidden else []),
+        *(
+            LegendEntry(f"{NAMES[kind]}, unknown to the planner", "outline", HIDDEN[kind][1], face=HIDDEN[kind][0])
+            for kind in dict.fromkeys(thing.kind for thing in hidden)
+        ),
         LegendEntry("driven, m/s", "scale", scale=line),
     ]
     return entries
@@ -180,6 +183,7 @@ OBSERVATION_SIZE: Final = 2.4  # pt
 COLLISION: Final = "#c1121f"
 HIDDEN: Final = {"patch": ("#d6eef8", "#7cb9d6"), "bump": ("#fbe7b4", "#c79a1e"), "box": ("#ecd5b5", "#a87a44")}
 """Face and edge colours of hidden features."""
+NAMES: Final = {"patch": "other friction", "bump": "bump", "box": "can be pushed"}
 
 
 @dataclass(frozen=True)
