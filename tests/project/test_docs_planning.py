@@ -18,6 +18,7 @@ from kraft.vehicles.config import load_vehicle_config
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
 
+OMPL = (ROOT / "docs" / "ompl.md").read_text(encoding="utf-8")
 VEHICLES = (ROOT / "docs" / "vehicles.md").read_text(encoding="utf-8")
 PLAN = (ROOT / "docs" / "plan.md").read_text(encoding="utf-8")
 
@@ -25,6 +26,11 @@ PLAN = (ROOT / "docs" / "plan.md").read_text(encoding="utf-8")
 def test_the_vehicle_shown_is_the_example() -> None:
     block = VEHICLES.split("```python\n")[1].split("```")[0]
     assert (ROOT / "examples" / "05_vehicle.py").read_text().endswith(block)
+
+
+@pytest.mark.parametrize("block", re.findall(r"```python\n(.*?)```", VEHICLES + OMPL, re.DOTALL))
+def test_each_block_of_code_runs_by_itself(block: str) -> None:
+    exec(block, {"__name__": "block"})
 
 
 def test_the_vehicle_file_shown_is_that_of_mushr(tmp_path: Path) -> None:
