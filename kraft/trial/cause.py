@@ -49,8 +49,8 @@ class CauseKind(StrEnum):
         "the car was farther from the prediction than the clearance δ(v) or the obstacle allowed, or left its plan "
         "before the plan's end, though it knew where it was",
     )
-    NO_PLAN = "no plan found", "in most cycles before the timeout the planner had no plan"
-    PLANS_REFUSED = "plans refused", "in most cycles before the timeout the plan was not safe from the latest estimate"
+    NO_PLAN = "no plan found", "the planner had no plan in most cycles before the timeout"
+    PLANS_REFUSED = "plans refused", "the plan was not safe from the latest estimate in most cycles before the timeout"
     STUCK = "stuck", f"the car got no farther than {STANDS:g} m before the timeout, though it had plans"
     TOO_SLOW = "too slow", "the car drove on until the timeout"
 
@@ -82,7 +82,7 @@ def collision_cause(
     if not sent.delivered:
         return Cause(kind=CauseKind.MESSAGE_LOST, text=f"the message of cycle {sent.number} was lost")
     if realtime and sent.missed:
-        text = f"planning for cycle {sent.number} took {sent.planning_ms:.0f} ms"
+        text = f"planning for cycle {sent.number} took {sent.planning_ms:.0f} ms, which was too long"
         return Cause(kind=CauseKind.DEADLINE_MISSED, text=text)
     contingency = cycle.kind == ReferenceKind.CONTINGENCY
     if contingency and cycle.contingency_origin is ContingencyOrigin.EMERGENCY:
@@ -95,12 +95,11 @@ def collision_cause(
         near = f"the prediction of cycle {cycle.number} comes within {max(cycle.clearance, 0.0):.3f} m of an obstacle"
         return Cause(kind=kind, text=f"{near}, and the car was {deviation:.3f} m from it")
     error = max(estimate_errors(steps, footprint, pose, since=min(cycle.decided, last.time)), default=0.0)
-    text = f"{deviation:.3f} m from the prediction"
+    text = f"the car was {deviation:.3f} m from the prediction"
     if allowed is not None:
-        text += f", {allowed:.3f} m allowed"
-    if error >= deviation / 2.0:
-        return Cause(kind=CauseKind.ESTIMATE_WRONG, text=f"the estimate was wrong by {error:.3f} m; {text}")
-    return Cause(kind=CauseKind.DEVIATION, text=f"{text}; the estimate was wrong by {error:.3f} m")
+        text += f", where {allowed:.3f} m were allowed"
+    kind = CauseKind.ESTIMATE_WRONG if error >= deviation / 2.0 else CauseKind.DEVIATION
+    return Cause(kind=kind, text=f"{text}, and its estimated pose was wrong by {error:.3f} m")
 
 
 def timeout_cause(
@@ -131,10 +130,10 @@ def timeout_cause(
     extent = float(np.hypot(*np.ptp(track, axis=0)))
     if extent < STANDS:
         planned = counted(len(late), "cycle")
-        text = f"moved {extent:.2f} m in the last {end - max(since, 0.0):.3g} s, with plans in {planned}"
+        text = f"the car moved {extent:.2f} m in the last {end - max(since, 0.0):.3g} s, with plans in {planned}"
         return Cause(kind=CauseKind.STUCK, text=text)
     left = late[-1].cost_to_goal
-    text = f"the last plan needed {left:.1f} s more" if np.isfinite(left) else "still driving at the end"
+    text = f"the last plan needed {left:.1f} s more" if np.isfinite(left) else "the car was still driving at the end"
     return Cause(kind=CauseKind.TOO_SLOW, text=text)
 
 
@@ -164,7 +163,7 @@ def _unfinished_plan(cycle: Cycle, steps: Sequence[Step], footprint: Footprint, 
     after = next((step for step in steps if step.time >= cycle.reference.end), steps[-1])
     expected = cycle.reference.state_at(after.time)[list(pose)]
     off = float(farthest_point(np.array([after.pose]), expected[None, :], footprint)[0])
-    return Cause(kind=CauseKind.DEVIATION, text=f"{off:.3f} m from the plan at its end, {after.time:.1f} s")
+    return Cause(kind=CauseKind.DEVIATION, text=f"the car was {off:.3f} m from the plan at its end, {after.time:.1f} s")
 
 
 def _deviation(cycle: Cycle, step: Step, footprint: Footprint, pose: Sequence[int]) -> float:

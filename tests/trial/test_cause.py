@@ -82,7 +82,9 @@ def test_delta_is_what_a_deviation_is_compared_with_where_the_method_asks_for_on
         [cycle(0), cycle(1, predicted=narrow)], steps(1.9, aside=0.5), FOOTPRINT, POSE, realtime=False
     )
     assert found.kind == CauseKind.DEVIATION
-    assert found.text == "0.500 m from the prediction, 0.020 m allowed; the estimate was wrong by 0.000 m"
+    assert found.text == (
+        "the car was 0.500 m from the prediction, where 0.020 m were allowed, and its estimated pose was wrong by 0.000 m"
+    )
 
 
 def test_a_missed_deadline_counts_only_by_the_clock() -> None:
@@ -122,5 +124,5 @@ def test_a_timeout_has_the_cause_that_most_of_the_last_cycles_show(each: Any, sp
 def test_a_single_plan_that_ends_off_the_goal_is_a_deviation() -> None:
     found = timeout_cause([cycle(0)], steps(30.0, speed=0.5), FOOTPRINT, POSE, realtime=False)
     assert found.kind == CauseKind.DEVIATION
-    assert found.text.startswith("0.500 m from the plan at its end, 1.0 s")
+    assert found.text.startswith("the car was 0.500 m from the plan at its end, 1.0 s")
     assert timed_out([cycle(0, kind=STOP, reason="none")], steps(30.0)) == CauseKind.NO_PLAN
