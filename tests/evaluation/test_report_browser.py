@@ -83,6 +83,28 @@ def tab(browser: Browser) -> Iterator[Page]:
     assert said == []
 
 
+def test_every_table_and_every_picture_has_a_name_for_screen_readers(tab: Page, driven: Driven) -> None:
+    tab.goto(driven.url)
+    nodes = tab.context.new_cdp_session(tab).send("Accessibility.getFullAXTree")["nodes"]
+    names = [
+        (node["role"]["value"], node.get("name", {}).get("value"))
+        for node in nodes
+        if not node["ignored"] and node["role"]["value"] in ("table", "image")
+    ]
+    assert len(names) > 5
+    assert [role for role, name in names if not name] == []
+
+
+@pytest.mark.parametrize("width", [390, 601, 700, 761, 900])
+def test_tables_fit_windows_of_tablets(width: int, tab: Page, driven: Driven) -> None:
+    tab.set_viewport_size({"width": width, "height": 1000})
+    tab.goto(driven.url)
+    assert (
+        tab.evaluate("[...document.querySelectorAll('.wide')].filter(d => d.scrollWidth > d.clientWidth).length") == 0
+    )
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width
+
+
 def open_trial(tab: Page, url: str, method: str = "kraft", seed: int = 0) -> None:
     tab.goto(f"{url}#trial=turns/{method}/{seed}")
     tab.wait_for_selector("#plots figure")

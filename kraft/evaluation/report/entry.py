@@ -282,7 +282,8 @@ def trials_section() -> Element:
         element("label", name, element("select", element("option", "all", value=""), id=f"filter-{name}"))
         for name in names
     ]
-    table = element("table", element("thead", element("tr")), element("tbody"), class_="trials-list")
+    parts = element("thead", element("tr")), element("tbody")
+    table = element("table", *parts, class_="trials-list", aria_label="trials")
     return element(
         "section",
         element("h2", "Trials"),

@@ -133,6 +133,7 @@ def _table(totals: Sequence[_Total]) -> Element:
         element("thead", heading),
         element("tbody", *(_row(total, ticks, ratios if bounded else None, timed=timed) for total in totals)),
         class_="totals-table",
+        aria_label="methods over all entries",
     )
 
 
@@ -306,7 +307,7 @@ class _Deviations:
         return cls(until, median, most)
 
 
-def measures_table(shown: Shown, results: Sequence[Result]) -> Element | None:
+def measures_table(shown: Shown, results: Sequence[Result], name: str) -> Element | None:
     """Table of an entry's methods; None if no method of the page has measures."""
     if not shown.any:
         return None
@@ -324,7 +325,8 @@ def measures_table(shown: Shown, results: Sequence[Result]) -> Element | None:
         if shown.deviations:
             cells.append(_drawing(result, deviations, cycle, top) if deviations.until else element("td", NO_VALUE))
         rows.append(element("tr", element("th", result.title, scope="row"), *cells))
-    return element("table", element("tr", *heading), *rows, class_="measures")
+    label = f"what was promised in {name}"
+    return element("table", element("tr", *heading), *rows, class_="measures", aria_label=label)
 
 
 def _headings(shown: Shown) -> Iterator[Element]:

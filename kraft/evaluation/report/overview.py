@@ -87,6 +87,7 @@ def overview(results: Results) -> Element:
         element("tbody", first, class_="totals") if len(entries) > 1 else None,
         element("tbody", *rows, class_="rows"),
         class_="overview sortable many" if many else "overview sortable",
+        aria_label="successes by entry and method",
     )
     order = " Those that fail most come first." if many else ""
     words = f"Successes of each method in each entry; the colours of a cell are a bar of its outcomes.{order}"
@@ -136,7 +137,9 @@ def causes(results: Results) -> Element | None:
     )
     several = len(results.methods) > 1  # the totals of one method are its own
     foot = element("tbody", total, class_="totals") if several else None
-    table = element("table", element("thead", heading), element("tbody", *rows), foot, class_="causes")
+    table = element("table", element("thead", heading), element("tbody", *rows), foot, class_="causes",
+        aria_label="causes of failures by method",
+    )  # fmt: skip
     meanings = [(name, MEANINGS.get(name)) for name in names]
     return element(
         "section",

@@ -168,7 +168,7 @@ def _entry(results: Results, name: str, shown: Shown) -> Element:
     cell = results.entries[name]
     mine = results.summary.of_entry(name)
     title, settings = cell.base or name, settings_of(cell)
-    tables = [_table(results, name, mine), measures_table(shown, mine)]
+    tables = [_table(results, name, mine), measures_table(shown, mine, name)]
     wide = [element("div", stacked(table), class_="wide") for table in tables if table is not None]
     content = [
         element("div", _picture(results, name), element("div", *wide, class_="tables"), class_="scenario"),
@@ -194,7 +194,7 @@ def _table(results: Results, name: str, mine: Sequence[Result]) -> Element:
     columns = ("mean, s", "p", "contingencies", "clearance, m", "planning, ms")
     heading += [element("th", text, class_="number") for text in columns]
     rows = [_row(results, result, longest) for result in mine]
-    return element("table", element("tr", *heading), *rows)
+    return element("table", element("tr", *heading), *rows, aria_label=f"results in {name}")
 
 
 def _picture(results: Results, name: str) -> Element:
@@ -277,8 +277,9 @@ def _unsuccessful(results: Results, name: str) -> Element | None:
     more = len(found) - LISTED
     rest = element("p", f"and {more} more, in trials.jsonl") if more > 0 else None
     title = element("summary", f"The {len(found) if len(found) > 1 else 'one'} that did not succeed")
-    table = element("div", stacked(element("table", heading, *rows)), class_="wide")
-    return element("details", title, table, rest, class_="unsuccessful")
+    table = element("table", heading, *rows, aria_label=f"unsuccessful trials in {name}")
+    wide = element("div", stacked(table), class_="wide")
+    return element("details", title, wide, rest, class_="unsuccessful")
 
 
 def _listed(results: Results, row: TrialRow) -> Element:
