@@ -216,7 +216,7 @@ def _run_experiment(
     observer: Observer,
     command_line: CommandLine | None,
 ) -> Evaluation:
-    began = time.perf_counter()
+    began = time.perf_counter() - (folder.wall if folder else 0.0)
     rows = dict(folder.rows) if folder else {}
     if folder and folder.incomplete_line:
         observer.log(f"{folder.journal.path}: the last line is incomplete; its trial is repeated")
@@ -224,14 +224,14 @@ def _run_experiment(
     todo = [each for each in experiment.jobs() if each.key not in rows]
     with closing(executor.run(todo, observer.stop_requested, observer.log)) as ended:  # type: ignore[type-var]
         for row in ended:
+            row = row.after(time.perf_counter() - began)  # noqa: PLW2901
             if folder:
                 folder.journal.append(row)
             row = row.model_copy(update={"replay": None})  # noqa: PLW2901  (it is on the disk now, and large)
             rows[row.key] = row
             observer.trial_ended(row)
     ordered = tuple(rows[each.key] for each in experiment.jobs() if each.key in rows)
-    before = folder.wall if folder else 0.0
-    summary = summarise(experiment, rows, before + time.perf_counter() - began)
+    summary = summarise(experiment, rows, time.perf_counter() - began)
     complete = len(ordered) == sum(1 for _ in experiment.jobs())
     if folder and complete:
         write_results(folder, experiment, rows, summary, command_line)

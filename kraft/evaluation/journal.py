@@ -33,7 +33,8 @@ class Measured(Record):
 
     `planning_ms` has one value per cycle, `missed` is the number of cycles that exceeded their planning time.
     `command_us` has one value per command of the controller, `late_commands` is the number of those that took longer
-    than the time between two; older evaluations have none.  `wall_s` is the duration of the whole trial.
+    than the time between two; older evaluations have none.  `wall_s` is the duration of the whole trial,
+    `elapsed_s` the time for which the evaluation had run when it ended; 0 in older evaluations.
     """
 
     planning_ms: tuple[float, ...] = ()
@@ -41,6 +42,7 @@ class Measured(Record):
     command_us: tuple[int, ...] = ()
     late_commands: int = 0
     wall_s: float = 0.0
+    elapsed_s: float = 0.0
 
 
 class TrialRow(Record):
@@ -85,6 +87,16 @@ class TrialRow(Record):
     def success_time(self) -> float | None:
         """Duration of a successful trial, s; None for the others."""
         return self.t_s if self.outcome == "success" else None
+
+    def after(self, seconds: float) -> TrialRow:
+        """The same row of a trial that ended when the evaluation had run for so long, s."""
+        measured = self.measured.model_copy(update={"elapsed_s": round(seconds, 3)})
+        return self.model_copy(update={"measured": measured})
+
+
+def elapsed(rows: Iterable[TrialRow]) -> float:
+    """Time for which an evaluation had run when the last of these trials ended, s; 0 in older evaluations."""
+    return max((row.measured.elapsed_s for row in rows), default=0.0)
 
 
 def trial_row(key: Key, result: TrialResult, wall: float, replay: Replay | None = None) -> TrialRow:

@@ -118,7 +118,7 @@ class Result:
 class Summary:
     """All rows in the order of the experiment.
 
-    `wall` is the duration of the evaluation, s: of the last run of one that was interrupted before.
+    `wall` is the time for which the evaluation ran, s, over all commands that resumed it.
     """
 
     trials: int
@@ -297,7 +297,7 @@ def _result_json(result: Result) -> dict[str, Any]:
         "timeout": result.timeout,
         "failed": result.failed,
         "success_ci95": list(result.interval),
-        "t_ex_s": result.t_ex,
+        "t_ex_s": None if result.t_ex is None else round(result.t_ex, 6),
         "t_bound_s": result.bound,
         "contingencies": result.contingencies,
         "cycles": result.cycles,

@@ -126,7 +126,7 @@ class Measures(Record):
     def deviation_quantiles(self, shares: Sequence[float]) -> list[list[float]]:
         """For each interval of time with deviations its end (s), then the quantiles of the deviation (m)."""
         return [
-            [BIN * (k + 1), *(np.quantile(values, shares, method="inverted_cdf") / 1000.0).tolist()]
+            [round(BIN * (k + 1), 6), *(np.quantile(values, shares, method="inverted_cdf") / 1000.0).tolist()]
             for k, values in enumerate(self.deviation_mm)
             if values
         ]

@@ -115,6 +115,16 @@ def test_a_finished_evaluation_keeps_the_time_that_it_took(tmp_path: Path) -> No
     assert json.loads((tmp_path / "out/summary.json").read_text())["wall_s"] >= took - 1e-3
 
 
+def test_the_time_that_an_evaluation_took_is_that_of_all_its_commands(tmp_path: Path) -> None:
+    run(tmp_path / "out", observer=StoppingObserver(4))
+    rows = tmp_path / "out" / "trials.jsonl"
+    lines = [json.loads(line) for line in rows.read_text().splitlines()]
+    lines[-1]["measured"]["elapsed_s"] = 1000.0
+    rows.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    assert run(tmp_path / "out", resume=True).summary.wall > 1000.0
+    assert json.loads(rows.read_text().splitlines()[-1])["measured"]["elapsed_s"] > 1000.0
+
+
 @pytest.mark.parametrize("content", ["", "{", '{"wall_s": "x"}'])
 def test_a_damaged_summary_is_written_again(tmp_path: Path, content: str) -> None:
     run(tmp_path / "out")

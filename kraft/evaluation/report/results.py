@@ -237,7 +237,9 @@ def read_results(folder: Path, command_line: CommandLine | None = None) -> Resul
         raise InputError([Diagnostic(str(file), "is damaged", expected, path=where, code=Code.SYNTAX)]) from None
     trials = {(cell.name, cell.method, seed) for cell in found.rows for seed in found.seeds}
     rows = journal.read_journal(folder / journal.NAME, trials)
-    summary = tabulate(found.names, found.seeds, rows, _wall(folder), realtime=found.realtime)
+    summary = tabulate(
+        found.names, found.seeds, rows, max(_wall(folder), journal.elapsed(rows.values())), realtime=found.realtime
+    )
     replays = journal.Replays(folder / journal.REPLAYS)
     return Results(found, rows, summary, _unchanged(found), command_line, replays)
 
