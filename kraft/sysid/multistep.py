@@ -20,7 +20,7 @@ from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.chains import Segment, chains_of
 from kraft.sysid.dynamics import DIFFERENCE_STEP
 from kraft.sysid.initial_values import SmoothedPoses, initial_states, smooth_chains
-from kraft.sysid.optimiser import OnIteration, Optimum, RhoFactors, bounded_step, ignore_iteration
+from kraft.sysid.optimiser import RIDGE, OnIteration, Optimum, RhoFactors, bounded_step, ignore_iteration
 from kraft.sysid.parallel import in_parallel
 from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index, steering_offset
 from kraft.sysid.problem import NoiseModel, Point, Problem, assemble
@@ -37,7 +37,7 @@ CONVERGED = 1e-5
 """Relative decrease of the cost by a step below which a fit has converged, if the one before was as small."""
 NEARLY_LINEAR = 0.01
 """Relative decrease of the cost by a step up to which derivatives are kept for the next one."""
-DAMPING_INITIAL, DAMPING_MIN, DAMPING_MAX = 1e-3, 1e-7, 1e7
+DAMPING_INITIAL, DAMPING_MIN, DAMPING_MAX = 1e-3, RIDGE, 1e7
 LEAD, SETTLING = 1.0, 1.0
 """Time before a window whose commands show components of its initial state that poses do not show, and time for which
 the command before is held, s."""

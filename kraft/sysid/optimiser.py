@@ -46,6 +46,9 @@ RELAXATIONS = 2
 DAMPING_INITIAL = 1e-4
 DAMPING_MIN = 1e-9
 DAMPING_MAX = 1e10
+RIDGE = 1e-6
+"""Share by which the information of each parameter is raised in the choice of terms, so that it is never singular:
+drives that only go forward do not tell a dead zone from friction, and predictions do not depend on which it is."""
 
 
 OnIteration = Callable[[int, float], None]
@@ -213,7 +216,7 @@ def step_with(factors: RhoFactors, low: Floats, high: Floats, free: Bools, chose
         factors.prior_information,
         factors.prior_gradient + factors.prior_information * shift,
     )
-    step: Floats = bounded_step(moved, 0.0, low, high, free & ~chosen) + shift
+    step: Floats = bounded_step(moved, RIDGE, low, high, free & ~chosen) + shift
     return step
 
 

@@ -33,7 +33,7 @@ from kraft.errors import Code, InputError
 from kraft.sysid.initial_values import InitialSearch, drive_values
 from kraft.sysid.interface import AT_BOUND, Settings
 from kraft.sysid.multistep import CONVERGED, MultiStep, fit
-from kraft.sysid.optimiser import OnIteration, Optimum, bounded_step, step_with, without_fold
+from kraft.sysid.optimiser import RIDGE, OnIteration, Optimum, bounded_step, step_with, without_fold
 from kraft.sysid.parallel import in_parallel
 from kraft.sysid.parameters import Parameters, parameters_of, variation_of, vehicle_of
 from kraft.sysid.prediction import Piece, Predictor, pieces_of
@@ -322,9 +322,9 @@ class StructureSearch:
         """
         p, point, windows = graph.problem.parameters, optimum.point, self.windows
         low, high = p.low - point.rho, p.high - point.rho
-        left = bounded_step(optimum.factors, 0.0, low, high, p.free)  # far too long where the fit is not at its end
+        left = bounded_step(optimum.factors, RIDGE, low, high, p.free)  # far too long where the fit is not at its end
         steps = [
-            bounded_step(without_fold(optimum.factors, fold), 0.0, low, high, p.free) for fold in range(windows.folds)
+            bounded_step(without_fold(optimum.factors, fold), RIDGE, low, high, p.free) for fold in range(windows.folds)
         ]
         rhos = [p.within_bounds(point.rho + step - left) for step in steps]
         errors = np.full((windows.folds, len(HORIZON_SHARES)), np.nan)
