@@ -14,9 +14,9 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.messages import ContingencyOrigin, PredictedMotion, Reference, ReferenceKind, Stop
+from kraft.driving.messages import ContingencyOrigin, PredictedMotion, Reference, ReferenceKind
 from kraft.driving.prediction import ClosedLoopPredictor, is_resting, least_slack
-from kraft.driving.references import holding_control, manoeuvre_reference
+from kraft.driving.references import manoeuvre_reference
 from kraft.driving.vehicle_model import VehicleModel, stop_control
 from kraft.planning.workspace import poses_of
 from ompl_ext.arrays import Floats, Matrix
@@ -222,20 +222,20 @@ def emergency_reference(dirt: DirtSolver, state: Floats, start: float) -> Refere
     to drive on.
     """
     manoeuvres = [_PredictedManoeuvre.of(dirt, state, number) for number in range(len(dirt.vehicle.manoeuvres))]
-    return max(manoeuvres, key=lambda each: (each.distance, -each.impact_speed)).reference(start, dirt.safety.step)
+    best = max(manoeuvres, key=lambda each: (each.distance, -each.impact_speed))
+    times: Floats = start + dirt.safety.step * np.arange(len(best.states), dtype=float)
+    return manoeuvre_reference(dirt.vehicle, best.number, times, best.states)
 
 
 @dataclass(frozen=True)
 class _PredictedManoeuvre:
-    """States (m, nx) of a manoeuvre until standstill, controls (m - 1, nu) between them, `rest` (nu,) afterwards.
+    """States (m, nx) of manoeuvre `number`, one for each step of SAFETY until standstill.
 
     `distance` is the smallest to an obstacle (m), and `impact_speed` that at the first contact (m/s; 0 without one).
     """
 
     number: int
     states: Matrix
-    controls: Matrix
-    rest: Floats
     distance: float
     impact_speed: float
 
@@ -243,10 +243,9 @@ class _PredictedManoeuvre:
     def of(cls, dirt: DirtSolver, state: Floats, number: int) -> _PredictedManoeuvre:
         """Predict manoeuvre `number` from a state (nx,) with the model, and measure its distances with FCL."""
         vehicle, safety = dirt.vehicle, dirt.safety
-        states, controls, distance, impact_speed = [np.asarray(state, dtype=float)], [], math.inf, 0.0
+        states, distance, impact_speed = [np.asarray(state, dtype=float)], math.inf, 0.0
         for _ in range(round(safety.horizon / safety.step)):
-            controls.append(stop_control(vehicle, states[-1], number))
-            samples, _slack = dirt.edge(states[-1], controls[-1], safety.step)
+            samples, _slack = dirt.edge(states[-1], stop_control(vehicle, states[-1], number), safety.step)
             poses = poses_of(samples, vehicle)
             nearest = float(dirt.exact.distances(poses).min())
             if distance > 0.0 >= nearest:
@@ -255,12 +254,4 @@ class _PredictedManoeuvre:
             states.append(samples[-1])
             if is_resting(dirt, states[-1]):
                 break
-        rest = holding_control(vehicle, states[-1])
-        return cls(number, np.array(states), np.array(controls), rest, distance, impact_speed)
-
-    def reference(self, start: float, step: float) -> Reference:
-        """Reference that starts at `start` s, with a state every `step` s."""
-        times: Floats = start + step * np.arange(len(self.states), dtype=float)
-        return Reference(
-            ReferenceKind.CONTINGENCY, times, self.states, self.controls, self.rest, Stop(self.number, start)
-        )
+        return cls(number, np.array(states), distance, impact_speed)
