@@ -35,14 +35,6 @@ class OccupancyGrid:
     resolution: float
     origin: tuple[float, float, float]
 
-    def cell_centres(self) -> Matrix:
-        """Centres of the occupied cells in the world, shape (n, 2)."""
-        rows, columns = np.nonzero(self.occupied)
-        local = (np.column_stack([columns, rows]) + 0.5) * self.resolution
-        x, y, yaw = self.origin
-        centres: Matrix = local @ _rotation(yaw).T + np.array([x, y])
-        return centres
-
     def rectangles(self) -> list[tuple[int, int, int, int]]:
         """Disjoint rectangles that cover exactly the occupied cells: (row, column, rows, columns) of each.
 

@@ -167,11 +167,6 @@ class PlannerSettings(StrictModel):
             return self
         return self.model_copy(update={"iterations": first, "max_iterations": self.first_max_iterations or 2 * first})
 
-    @property
-    def is_safe(self) -> bool:
-        """Whether plans need a contingency."""
-        return self.safety is not None or self.bound is not None
-
     @model_validator(mode="before")
     @classmethod
     def _without_contingency(cls, content: Any) -> Any:

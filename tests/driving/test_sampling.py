@@ -23,7 +23,7 @@ from kraft.driving.method import Clearance, PlannerSettings, load_method
 from kraft.driving.proposer import Proposer
 from kraft.driving.references import contingency_reference, plan_reference
 from kraft.driving.replanner import Replanner
-from kraft.driving.solvers import Solvers
+from kraft.driving.solvers import Solvers, method_safety
 from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
 from kraft.planning.workspace import pose_of
@@ -322,7 +322,8 @@ controller: {kind: mppi}
 def test_contingencies_are_switched_off_by_one_key(tmp_path: Path) -> None:
     (tmp_path / "m.yaml").write_text(METHOD.replace("mode:", "contingency: false, mode:"))
     planner = load_method(tmp_path / "m.yaml").planner
-    assert (planner.is_safe, planner.safety, planner.recover, planner.on_board) == (False, None, False, "plan")
+    assert not method_safety(planner).enabled
+    assert (planner.safety, planner.bound, planner.recover, planner.on_board) == (None, None, False, "plan")
 
 
 @pytest.mark.parametrize(

@@ -61,10 +61,19 @@ def true_distance(obstacle: Obstacle, point: np.ndarray) -> float:
     if isinstance(obstacle, Circle):
         return float(np.hypot(*(point - obstacle.center)) - obstacle.radius)
     if isinstance(obstacle, OccupancyGrid):
-        centres = obstacle.cell_centres()
+        centres = cell_centres(obstacle)
         to_centre = np.hypot(*(point - centres).T).min(initial=math.inf)
         return min(float(to_centre) - obstacle.resolution * math.sqrt(0.5), 1e3)
     return min(-1.0 if inside(obstacle.vertices, point) else math.inf, outline(obstacle.vertices, point))
+
+
+def cell_centres(grid: OccupancyGrid) -> np.ndarray:
+    """Centres (n, 2) of the occupied cells in the world."""
+    rows, columns = np.nonzero(grid.occupied)
+    local = (np.column_stack([columns, rows]) + 0.5) * grid.resolution
+    x, y, yaw = grid.origin
+    rotation = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+    return local @ rotation.T + np.array([x, y])
 
 
 def outline(vertices: np.ndarray, point: np.ndarray) -> float:

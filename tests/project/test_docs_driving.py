@@ -42,7 +42,7 @@ from kraft.driving.proposer import (
 from kraft.driving.replanner import NEARBY, ROOM
 from kraft.driving.rest import ATTEMPT_TOLERANCE, CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
 from kraft.driving.search_budget import PATIENCE
-from kraft.driving.solvers import COVER_EXCESS
+from kraft.driving.solvers import COVER_EXCESS, method_safety
 from kraft.scenario import Sensing
 from kraft.simulation.camera import BLURRED_SPEED, PRESETS
 from kraft.vehicles import DELAY_MAX
@@ -130,7 +130,7 @@ def test_the_table_of_methods_is_the_bundled_ones() -> None:
         short = planner.cycle == 0.25 and planner.type != "geodesic"  # which has no iterations
         many = 500 if short else 1000
         assert (planner.iterations, planner.goal_margin) == ((20_000, 0.0) if once else (many, 0.1))
-        assert planner.recover == planner.is_safe
+        assert planner.recover == method_safety(planner).enabled
         assert safety is None or safety.foresight == 3.0
         assert bound is None or bound.foresight == 60.0
 
