@@ -30,7 +30,7 @@ from kraft.sysid.base_vehicle import (
     with_speed,
 )
 from kraft.sysid.checks import SteeringInMotion
-from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
+from kraft.sysid.command_units import SIDES, CommandUnit, command_units, sign_warnings, unit_notes, with_units
 from kraft.sysid.data import LogSplit, check_holdout, split_logs
 from kraft.sysid.factor_graph import ensure_compiled
 from kraft.sysid.identify import identify
@@ -47,7 +47,7 @@ from kraft.vehicles import is_car
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.work.next_drives import NextDrives, NextRequest, check_next, next_drives
 from kraft_cli.work.parameters import parse_parameters
-from kraft_cli.work.sysid_logs import SIDES, MessageSink, has_two_sides, read_sysid_logs, report_problems
+from kraft_cli.work.sysid_logs import MessageSink, has_two_sides, read_sysid_logs, report_problems
 from kraft_cli.work.verbose import discard_message
 
 AUTO: Final = "auto"

@@ -13,11 +13,10 @@ from kraft.logs.discover import discover
 from kraft.logs.log import Log, LogSet
 from kraft.logs.mapping import Mapping, load_mapping
 from kraft.logs.reader import CONTROLS, MismatchError, read_logs
+from kraft.sysid.command_units import SIDES
 from kraft.sysid.data import screen_logs
 from kraft.text import counted
 
-SIDES: Final = ("left", "right")
-"""Controls of a robot with two driven sides."""
 MessageSink = Callable[[str], None]
 """Receives one message."""
 

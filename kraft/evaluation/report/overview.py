@@ -132,7 +132,7 @@ def causes(results: Results) -> Element | None:
     total = element(
         "tr",
         element("th", "all methods", scope="row"),
-        *(element("td", str(all_of[name]), class_="number") for name in (*names, None) if name),
+        *(element("td", str(all_of[name]), class_="number") for name in names),
         element("td", str(all_of.total()), class_="number"),
     )
     several = len(results.methods) > 1  # the totals of one method are its own
