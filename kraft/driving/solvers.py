@@ -116,9 +116,9 @@ def goal_region(goal: Goal, vehicle: Vehicle, root: Floats) -> tuple[float, floa
 
 def method_safety(settings: PlannerSettings) -> Safety:
     """SAFETY with the clearance of a method, disabled if the method has none."""
-    margin = settings.safety
+    clearance = settings.safety
     if settings.bound is not None:  # the clearance is set in every cycle
         return Safety(cycle=settings.cycle)
-    if margin is None:
+    if clearance is None:
         return Safety(enabled=False, cycle=settings.cycle)
-    return Safety(cycle=settings.cycle, delta=margin.delta, delta_per_speed=margin.delta_per_speed)
+    return Safety(cycle=settings.cycle, delta=clearance.delta, delta_per_speed=clearance.delta_per_speed)

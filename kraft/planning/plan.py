@@ -15,7 +15,6 @@ from kraft.planning.feasibility import UNREACHABLE, check_placement, reachable
 from kraft.planning.search import Budget, Previous, SearchResult, check_seed, check_threads, search_named
 from kraft.planning.workspace import (
     goal_of,
-    heading_of,
     pose_of,
     safety_of_task,
     settings_of,
@@ -215,8 +214,7 @@ def _accepted(found: SearchResult, verification: Verification | None, seed: int)
 
 def _distance(dirt: DirtSolver, state: Floats) -> float:
     """Distance of the footprint from obstacles in a state (nx,), m."""
-    x, y = (float(state[dirt.vehicle.index(name)]) for name in ("x", "y"))
-    return dirt.exact.distance(x, y, heading_of(state, dirt.vehicle))
+    return dirt.exact.distance(*pose_of(state, dirt.vehicle))
 
 
 def _infeasible_start(dirt: DirtSolver, state: Floats, spare: float) -> str:

@@ -61,12 +61,12 @@ def goal_of(task: Task) -> Goal:
 
 def safety_of_task(task: Task) -> Safety:
     """SAFETY at the end of the first cycle, with the clearance that the task requires."""
-    margin = task.planning.safety
+    stated = task.planning.safety
     return Safety(
         cycle=task.planning.cycle,
-        delta=margin.delta,
-        delta_per_speed=margin.delta_per_speed,
-        horizon=margin.horizon,
+        delta=stated.delta,
+        delta_per_speed=stated.delta_per_speed,
+        horizon=stated.horizon,
     )
 
 
