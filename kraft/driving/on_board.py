@@ -22,8 +22,8 @@ class OnBoard:
     """Commitment that the car tracks, and the watchdog.
 
     The watchdog intervenes if the newest observation is too old, or if the car is on a plan and no message has arrived
-    for longer than a cycle and the watchdog's time.  The car then brakes from where it believes to be, with
-    the wheels as they are, until a message arrives that was decided after that, with a recent observation.
+    for longer than a cycle and the watchdog's time.  The car then brakes from its estimated state, with the wheels as
+    they are, until a message arrives that was decided after that, with a recent observation.
     """
 
     def __init__(self, settings: PlannerSettings, safety: Safety, model: VehicleModel, commitment: Commitment) -> None:
@@ -82,7 +82,8 @@ class OnBoard:
     def _stop_from(self, estimate: Estimate, reference: Reference) -> Reference:
         """Braking from the estimated state with the wheels as the reference has them now.
 
-        On a robot each moment of a cycle is examined for that, as for a loss of commands, but not for other manoeuvres.
+        Plans of a robot that may lose commands leave room for this at each moment of a cycle (`CommandLoss`).  They do
+        not for other manoeuvres.
         """
         held, vehicle, safety = reference.control_at(estimate.time), self._model.present_vehicle, self._safety
         rest, states = list(vehicle.rest_indices), [np.asarray(estimate.state, dtype=float)]

@@ -102,7 +102,7 @@ class _Grown:
 
 
 class Proposer:
-    """Searches the plan for the next cycle; `dirt` is the solver without margin, `loss` predicts a loss of commands."""
+    """Searches for the plan of the next cycle; `dirt` is the solver without margin, `loss` predicts lost commands."""
 
     def __init__(
         self,

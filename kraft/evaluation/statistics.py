@@ -1,4 +1,4 @@
-"""Intervals and tests for numbers of successes."""
+"""Statistics of trials: intervals of rates, means and ratios, tests of two methods, quantiles of measured times."""
 
 from __future__ import annotations
 

@@ -150,12 +150,12 @@ class ModelTrial:
     terms: tuple[str, ...]
     """parameters that could be switched off and are on"""
     without: str
-    """the one that was switched off last; empty for the first model"""
+    """those that were switched off last, separated by commas; empty for the first model"""
     errors: Mapping[float, float]
     """position error by time since the beginning of a window (s), m; without times that no window reaches"""
     chosen: bool
     added: str = ""
-    """terms that were switched on again at the end"""
+    """those that were switched on again at the end, separated by commas"""
 
 
 @dataclass(frozen=True)

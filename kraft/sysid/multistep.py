@@ -49,7 +49,7 @@ model does not explain (a start against stiction, a hand on the car) counts litt
 CHUNK = 32
 """Number of windows whose derivatives are multiplied at once: they remain in the processor's cache."""
 COMMANDS_KEPT = 8
-"""Number of actuator parameters whose commands are kept."""
+"""Number of values of the actuator parameters for which the acting controls are kept."""
 EXPECTED_KEPT = 3
 """Number of points whose expected initial states are kept."""
 
@@ -240,7 +240,7 @@ class MultiStep:
         return np.concatenate([states[np.append(f, -1), i] for f, i in zip(found, acting.lane, strict=True)])
 
     def _controls(self, rho: Floats) -> tuple[Acting, Ints, Matrix]:
-        """Controls that act in the windows, and `places` of the poses; those of a few actuator parameters are kept."""
+        """Controls that act in the windows, and `places` of the poses; kept for the last `COMMANDS_KEPT` values."""
         key = rho[self._acting].tobytes()
         if key not in self._commands:
             if len(self._commands) >= COMMANDS_KEPT:

@@ -37,9 +37,9 @@ class Structure:
     others: Matrix
     """(folds, np) parameters that the other folds give, to first order"""
     without: str = ""
-    """term that was switched off last"""
+    """terms that were switched off last, separated by commas"""
     added: str = ""
-    """terms that were switched on again"""
+    """terms that were switched on again, separated by commas"""
 
     @cached_property
     def scores(self) -> Floats:

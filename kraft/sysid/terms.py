@@ -34,7 +34,7 @@ from kraft.vehicles.config import VehicleConfig
 from ompl_ext.vehicle import Vehicle
 
 BOTH_SIDES = ("phi_diff", "asymmetry", "yaw_offset")
-"""Parameters of a car that turns to one side do not tell from the steering curve and the slip."""
+"""Parameters that turns to one side alone do not distinguish from the steering curve and the slip."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 Method = Annotated[
     str | None,
-    typer.Option(metavar="NAME|FILE", help="Method (kraft list methods); kraft, on the clock adaptive-kraft."),
+    typer.Option(
+        metavar="NAME|FILE", help="Method (kraft list methods): kraft, with --realtime adaptive-kraft, by default."
+    ),
 ]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same trial.")]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write the trial into a new folder.")]

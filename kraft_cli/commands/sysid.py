@@ -142,8 +142,8 @@ def _print(terminal: Terminal, result: SysidResult) -> None:
         if rows:
             terminal.table(heading, rows)
             terminal.data("")
-    for interval_note in summary_lines(result):
-        terminal.data(interval_note)
+    for line in summary_lines(result):
+        terminal.data(line)
     if result.request.out is not None and not result.objections:
         terminal.data(f"vehicle file {result.request.out}: kraft plan turns --vehicle {result.request.out}")
     if result.request.plot is not None:

@@ -116,6 +116,7 @@ class SysidResult:
         units: found meaning of the numbers of each command; empty for a model whose commands have units.
         left_out: stretches of logs that no model explains.
         next_drives: recommended drives, if they were requested.
+        next_error: why no drives can be recommended, though they were requested.
     """
 
     request: SysidRequest
