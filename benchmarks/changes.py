@@ -20,7 +20,7 @@ from benchmarks.report import Report, Row, Target, row
 from kraft.driving.method import load_method
 from kraft.scenario import load_scenario
 from kraft.trial.measures import farthest_point
-from kraft.trial.plant import true_vehicle
+from kraft.trial.oracle import true_vehicle
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle

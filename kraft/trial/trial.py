@@ -26,7 +26,8 @@ from kraft.simulation.true_world import TrueWorld, world_of
 from kraft.trial.cause import Cause, collision_cause, timeout_cause
 from kraft.trial.closest_approach import ClosestApproach
 from kraft.trial.measures import Measures, Step, measure
-from kraft.trial.plant import OracleEstimator, Plant, Radio, camera_model, true_model
+from kraft.trial.oracle import OracleEstimator, true_model
+from kraft.trial.plant import Plant, Radio, camera_model
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from ompl_ext.exact import ExactClearance
 

@@ -14,7 +14,8 @@ from kraft.errors import Code
 from kraft.scenario import load_scenario
 from kraft.scenario.truth import VehicleGap
 from kraft.simulation.world import World
-from kraft.trial.plant import Radio, true_vehicle
+from kraft.trial.oracle import true_vehicle
+from kraft.trial.plant import Radio
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
