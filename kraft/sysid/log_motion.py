@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from kraft.sysid.smoothing import smoothed, thinned
+from kraft.vehicles import CAR_CONTROLS
 from ompl_ext.arrays import Floats, Matrix
 
 if TYPE_CHECKING:
@@ -45,7 +46,12 @@ class Motion:
         return found
 
 
-def motions(logs: Sequence[Log], controls: Sequence[str] = ("throttle", "steering")) -> list[Motion]:
+def are_of_cars(logs: Sequence[Log]) -> bool:
+    """Whether every log has the commands of a car."""
+    return all(set(CAR_CONTROLS) <= set(log.controls) for log in logs)
+
+
+def motions(logs: Sequence[Log], controls: Sequence[str] = CAR_CONTROLS) -> list[Motion]:
     """Motion of all parts that last for a second or longer, with the commands in the order of `controls`."""
     found = []
     for i, log in enumerate(logs):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.sysid.log_motion import SPAN, STEP, Motion, motions, sums_of
+from kraft.sysid.log_motion import SPAN, STEP, Motion, are_of_cars, motions, sums_of
 from ompl_ext.arrays import Bools, Floats, Matrix
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def _unexplained(terms: Matrix, values: Floats) -> float:
 
 def turns_before_steered(logs: Sequence[Log]) -> bool:
     """Whether the yaw rate precedes the steering: commands are recorded later than they act."""
-    if not logs or not {"throttle", "steering"} <= set(logs[0].controls):
+    if not logs or not are_of_cars(logs):
         return False
     found = motions(logs)
     if not found:
@@ -101,7 +101,7 @@ def turns_before_steered(logs: Sequence[Log]) -> bool:
 
 def two_cars(logs: Sequence[Log]) -> str:
     """The logs that drive differently from the others, if they fall into two groups, with what to do; else empty."""
-    if not all({"throttle", "steering"} <= set(log.controls) for log in logs):
+    if not are_of_cars(logs):
         return ""
     problem = _check_groups(motions(logs), logs)
     return "" if problem is None else f"{problem.problem}; {problem.expected}"
@@ -116,7 +116,7 @@ def check_consistency(logs: Sequence[Log]) -> None:
         InputError: if the yaw does not follow the motion, if throttle and steering are swapped, if the clocks of
             commands and poses are apart, or if the logs fall into two groups; with what to do.
     """
-    if not logs or any(not {"throttle", "steering"} <= set(log.controls) for log in logs):
+    if not logs or not are_of_cars(logs):
         return
     found = motions(logs)
     if not found:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.sysid.log_motion import STEP, Motion, motions, sums_of
+from kraft.sysid.log_motion import STEP, Motion, are_of_cars, motions, sums_of
 from kraft.sysid.smoothing import MAD
 from ompl_ext.arrays import Bools, Floats, Matrix
 
@@ -67,7 +67,7 @@ class Stretch:
 
 def unexplained_stretches(logs: Sequence[Log]) -> tuple[Stretch, ...]:
     """Stretches that no model explains; none if the logs are of no car, too short, or with too few poses a second."""
-    if any(not {"throttle", "steering"} <= set(log.controls) for log in logs):
+    if not are_of_cars(logs):
         return ()
     found = [m for m in motions(logs) if len(m.times) > round(2 * LOOK_AHEAD / STEP) and _is_dense(m.part)]
     if not found:

@@ -165,10 +165,7 @@ def run_sysid(
         if auto or has_terms(base.definition):  # before drives that a constant does not explain are taken for two cars
             check_controls(split.fitted, SteeringInMotion.of(split.fitted))
         check_consistency(split.fitted)
-        left_out = unexplained_stretches((*split.fitted, *split.held_out))
-        for stretch in left_out:
-            info(f"left out, because no model explains it: {stretch}")
-        split = replace(split, fitted=without(split.fitted, left_out), held_out=without(split.held_out, left_out))
+        split, left_out = _without_unexplained(split, info)
         ensure_compiled(base.vehicle, base.reference, info)
         began = time.perf_counter()
         if auto:
@@ -208,11 +205,25 @@ def run_sysid(
     result = SysidResult(request, base, logs, split, identification, evaluation, found, seconds, units, left_out)
     _draw(result)
     _write(result)
-    if request.next is None:
-        return result
-    wanted = NextRequest(request.next, request.area, request.commands)
+    return result if request.next is None else _with_next_drives(result, request.next, settings, info)
+
+
+def _without_unexplained(split: LogSplit, info: MessageSink) -> tuple[LogSplit, tuple[Stretch, ...]]:
+    """The logs without the stretches that no model explains, and these, which `info` receives."""
+    left_out = unexplained_stretches((*split.fitted, *split.held_out))
+    for stretch in left_out:
+        info(f"left out, because no model explains it: {stretch}")
+    fitted, held_out = without(split.fitted, left_out), without(split.held_out, left_out)
+    return replace(split, fitted=fitted, held_out=held_out), left_out
+
+
+def _with_next_drives(result: SysidResult, count: int, settings: Settings, info: MessageSink) -> SysidResult:
+    """The result with `count` recommended drives, or with the reason why there are none."""
+    wanted = NextRequest(count, result.request.area, result.request.commands)
     try:
-        planned = next_drives(wanted, base, identification, settings, logs.logs, units, info)
+        planned = next_drives(
+            wanted, result.base, result.identification, settings, result.logs.logs, result.units, info
+        )
     except (InputError, NegativeResult) as error:  # the identification is there
         return replace(result, next_error=error)
     return replace(result, next_drives=planned)
