@@ -36,6 +36,7 @@ from ompl_ext.kernels.posepath import PosePath
 from ompl_ext.kernels.specialise import polish_kernels
 from ompl_ext.motion import motion_of
 from ompl_ext.obstacles import Workspace
+from ompl_ext.poses import pose_of
 from ompl_ext.problem import lanes_of, pose_cost_to_go_of
 from ompl_ext.query import Goal, Settings
 from ompl_ext.vehicle import Vehicle
@@ -338,7 +339,7 @@ def guess_to_goal(
 ) -> Guess | None:
     """Guess along the path of poses from a start (nx,) to a goal with a heading; None if there is no path."""
     found = pose_cost_to_go_of(vehicle, workspace, goal, settings)
-    path = found.path_from(*(float(start[vehicle.index(name)]) for name in ("x", "y", "theta")))
+    path = found.path_from(*pose_of(start, vehicle))
     return guess_along(path, vehicle, start) if path is not None and len(path.times) > 1 else None
 
 

@@ -18,6 +18,7 @@ from ompl_ext.kernels.tree_memory import CAPACITY, MAX_NODES, path_to, prune
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Plan
 from ompl_ext.polish import Guess, Polish, guess_of, guess_to_goal, weights_of
+from ompl_ext.poses import pose_of
 from ompl_ext.problem import pose_cost_to_go_of
 from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.query_tree import Progress, QueryTree
@@ -263,9 +264,8 @@ class DirtSolver(QueryTree):
         found = pose_cost_to_go_of(vehicle, self.workspace, goal, self.settings)
         follower = self._path_follower(vehicle)
         retained = int(self._tree.count[at.RETAINED])
-        x, y, theta = (float(root[self.vehicle.index(name)]) for name in ("x", "y", "theta"))
         most = PATHS if retained == 0 else PATHS_AGAIN
-        for path in found.paths_from(x, y, theta, most):
+        for path in found.paths_from(*pose_of(root, self.vehicle), most):
             if self._tree.count[at.BEST] >= 0 or len(path.times) == 0:
                 break
             controls, durations = follower.edges_along(path, root)

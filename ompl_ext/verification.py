@@ -11,6 +11,7 @@ import numpy as np
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.exact import SPREAD
 from ompl_ext.plan import Plan
+from ompl_ext.poses import poses_of
 from ompl_ext.solver import DirtSolver
 
 TOLERANCE = 1e-6  # tolerance of FCL's distances (m)
@@ -62,7 +63,7 @@ def verify(dirt: DirtSolver, plan: Plan) -> Verification:
     are those of FCL at every sample.
     """
     problems: list[Violation] = []
-    poses = _poses(dirt, plan.trajectory)
+    poses = poses_of(plan.trajectory, dirt.vehicle)
     clearance = _Clearance(dirt, poses)
     problems += _clearance_violations(dirt, "plan", plan.times, plan.trajectory, clearance, _within_cycle(dirt, plan))
     least, at = clearance.least()
@@ -78,7 +79,7 @@ def verify(dirt: DirtSolver, plan: Plan) -> Verification:
         missing = Violation(Requirement.CONTINGENCY, "contingency: missing")
         return Verification(least, None, (*problems, missing))
     stop = plan.contingency
-    stopping = _Clearance(dirt, _poses(dirt, stop.states))
+    stopping = _Clearance(dirt, poses_of(stop.states, dirt.vehicle))
     every = np.ones(len(stop.times), bool)
     times = stop.times - stop.times[0] + dirt.safety.cycle  # as the planner takes it to begin
     problems += _clearance_violations(dirt, "contingency", times, stop.states, stopping, every)
@@ -112,13 +113,6 @@ class _Clearance:
         return least, int(np.argmin(np.where(self._known, self.values, math.inf)))
 
 
-def _poses(dirt: DirtSolver, states: Matrix) -> Matrix:
-    """Columns x, y, theta of states (n, nx)."""
-    x, y, theta = (dirt.vehicle.index(name) for name in ("x", "y", "theta"))
-    heading = states[:, theta] if theta >= 0 else np.zeros(len(states))
-    return np.column_stack([states[:, x], states[:, y], heading])
-
-
 def _within_cycle(dirt: DirtSolver, plan: Plan) -> Bools:
     return plan.times <= dirt.safety.cycle + 1e-9
 
@@ -150,7 +144,7 @@ def _collisions_between_samples(dirt: DirtSolver, plan: Plan, clearance: _Cleara
     if not len(ends):  # the start is in the goal
         return []
     fine = dirt.fine(plan.trajectory[:-1], plan.controls[edge], np.diff(plan.times), FINE)
-    poses = _poses(dirt, fine.reshape(-1, fine.shape[2])).reshape(*fine.shape[:2], 3)
+    poses = poses_of(fine.reshape(-1, fine.shape[2]), dirt.vehicle).reshape(*fine.shape[:2], 3)
     travelled = _motion(poses[:, :-1], poses[:, 1:], dirt.vehicle.footprint.reach).sum(axis=1)
     problems = []
     for k in np.flatnonzero(clearance.values[:-1] + clearance.values[1:] <= travelled + SPREAD):

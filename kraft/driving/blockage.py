@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from kraft.driving.messages import Reference, ReferenceKind
-from kraft.planning.workspace import pose_of
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Polygon, box
+from ompl_ext.poses import pose_of
 from ompl_ext.vehicle import Vehicle
 
 MOVED: Final = (0.06, 0.15)

@@ -18,9 +18,9 @@ import numpy as np
 
 from kraft.driving.messages import PredictedMotion, Uncertainty
 from kraft.driving.method import CalibratedBound
-from kraft.planning.workspace import displacement
 from ompl_ext.arrays import Floats
 from ompl_ext.interpolation import interpolated_rows
+from ompl_ext.poses import displacement
 from ompl_ext.query import Safety
 from ompl_ext.vehicle import Vehicle
 

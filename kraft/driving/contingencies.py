@@ -18,9 +18,9 @@ from kraft.driving.messages import ContingencyOrigin, PredictedMotion, Reference
 from kraft.driving.prediction import ClosedLoopPredictor, is_resting, least_slack
 from kraft.driving.references import manoeuvre_reference
 from kraft.driving.vehicle_model import VehicleModel, stop_control
-from kraft.planning.workspace import poses_of
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.interpolation import interpolated_rows
+from ompl_ext.poses import poses_of
 from ompl_ext.solver import DirtSolver
 
 FOLLOWED: Final = (0.3, 0.6, 1.0)

@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from kraft.planning.workspace import pose_of
 from ompl_ext.arrays import Floats, Matrix, Matrix32
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.costtogo import descend, smooth
 from ompl_ext.kernels.kernel_types import Problem
 from ompl_ext.plan import Plan
+from ompl_ext.poses import pose_of
 from ompl_ext.solver import DirtSolver
 
 STRIDE: Final = 3.0

@@ -10,9 +10,9 @@ import numpy as np
 
 from kraft.driving.control import Controller, compiled_law
 from kraft.driving.messages import Commitment, Estimate, PredictedMotion, Reference
-from kraft.planning.workspace import poses_of
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels.tracking import Ticks
+from ompl_ext.poses import poses_of
 from ompl_ext.solver import DirtSolver
 
 

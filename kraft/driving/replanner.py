@@ -37,10 +37,10 @@ from kraft.driving.references import contingency_reference, holding_control, pla
 from kraft.driving.rest import total_cost
 from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import VehicleModel, model_of
-from kraft.planning.workspace import displacement, pose_of, poses_of
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Polygon
 from ompl_ext.plan import Plan
+from ompl_ext.poses import displacement, pose_of, poses_of
 
 SETTLED = 0.3  # time after the end of a contingency from which on the vehicle stands (s)
 FORGET = 2.0  # time without a plan to the goal after which what blocked a vehicle is forgotten (s)

@@ -10,10 +10,11 @@ import numpy as np
 
 from kraft.driving.bound import DeviationBound
 from kraft.driving.method import PlannerSettings
-from kraft.planning.workspace import goal_of, poses_of, settings_of, workspace_of
+from kraft.planning.workspace import goal_of, settings_of, workspace_of
 from kraft.scenario import Task
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Obstacle
+from ompl_ext.poses import poses_of
 from ompl_ext.query import Goal, Safety
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle

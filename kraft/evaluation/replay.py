@@ -31,7 +31,7 @@ from typing import Any, Final
 import numpy as np
 
 from kraft.driving.messages import Cycle, PredictedMotion, Reference, as_driven
-from kraft.planning.workspace import poses_of, workspace_of
+from kraft.planning.workspace import workspace_of
 from kraft.text import finite
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
@@ -41,6 +41,7 @@ from ompl_ext.exact import ExactClearance
 from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.plan import TreeView
+from ompl_ext.poses import poses_of
 from ompl_ext.vehicle import Vehicle
 
 EVERY: Final = 3

@@ -8,7 +8,6 @@ from typing import Final
 from kraft.errors import Code, Diagnostic, InputError, Unreachable
 from kraft.planning.workspace import (
     goal_of,
-    heading_of,
     planar_obstacle,
     pose_text,
     safety_of_task,
@@ -25,6 +24,7 @@ from ompl_ext.kernels.kernel_types import Problem
 from ompl_ext.memory import MapTooLargeError, check_memory, in_words
 from ompl_ext.motion import motion_of
 from ompl_ext.obstacles import Workspace
+from ompl_ext.poses import heading_of
 from ompl_ext.problem import make_problem, memory_of_maps
 from ompl_ext.query import Settings
 from ompl_ext.vehicle import Footprint, Vehicle

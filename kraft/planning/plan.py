@@ -15,7 +15,6 @@ from kraft.planning.feasibility import UNREACHABLE, check_placement, reachable
 from kraft.planning.search import Budget, Previous, SearchResult, check_seed, check_threads, search_named
 from kraft.planning.workspace import (
     goal_of,
-    pose_of,
     safety_of_task,
     settings_of,
     start_state,
@@ -27,6 +26,7 @@ from kraft.text import counted, listed
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
+from ompl_ext.poses import pose_of
 from ompl_ext.query_tree import Progress
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
@@ -219,7 +219,7 @@ def _distance(dirt: DirtSolver, state: Floats) -> float:
 
 def _infeasible_start(dirt: DirtSolver, state: Floats, spare: float) -> str:
     """Reason why no plan from this start exists, whatever the budget; empty if one may exist."""
-    x, y = (float(state[dirt.vehicle.index(name)]) for name in ("x", "y"))
+    x, y, _ = pose_of(state, dirt.vehicle)
     if not reachable(dirt.problem, x, y):
         return UNREACHABLE
     if spare < 0.0:

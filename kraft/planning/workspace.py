@@ -11,7 +11,7 @@ from kraft.errors import InputError
 from kraft.scenario import Bounds, Box, Circle, Obstacle, OccupancyMap, Polygon, Task
 from kraft.vehicles.load import load_vehicle
 from ompl_ext import obstacles as planar
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Floats
 from ompl_ext.motion import edge_durations
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.query import Goal, Safety, Settings
@@ -101,31 +101,6 @@ def start_state(task: Task, vehicle: Vehicle) -> Floats:
         if vehicle.index(name) >= 0:
             state[vehicle.index(name)] = value
     return state
-
-
-def heading_of(state: Floats, vehicle: Vehicle) -> float:
-    """Heading of a state, rad; 0 for a vehicle that does not turn."""
-    index = vehicle.index("theta")
-    return float(state[index]) if index >= 0 else 0.0
-
-
-def pose_of(state: Floats, vehicle: Vehicle) -> tuple[float, float, float]:
-    """Position (m) and heading (rad) of a state; heading 0 for a vehicle that does not turn."""
-    return float(state[vehicle.index("x")]), float(state[vehicle.index("y")]), heading_of(state, vehicle)
-
-
-def poses_of(states: Matrix, vehicle: Vehicle) -> Matrix:
-    """Poses (n, 3), x, y (m) and heading (rad), of states (n, nx); heading 0 for a vehicle that does not turn."""
-    theta = vehicle.index("theta")
-    heading = states[:, theta] if theta >= 0 else np.zeros(len(states))
-    return np.column_stack([states[:, vehicle.index("x")], states[:, vehicle.index("y")], heading])
-
-
-def displacement(state: Floats, other: Floats, vehicle: Vehicle) -> float:
-    """Upper bound of the distance between any point of the vehicle in one state and the same point in another, m."""
-    (x, y, theta), (x0, y0, theta0) = pose_of(state, vehicle), pose_of(other, vehicle)
-    turned = abs(math.remainder(theta - theta0, math.tau))
-    return math.hypot(x - x0, y - y0) + vehicle.footprint.reach * turned
 
 
 def pose_text(x: float, y: float, heading: float) -> str:

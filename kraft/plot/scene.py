@@ -18,7 +18,6 @@ from matplotlib.path import Path as Outline
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 from matplotlib.transforms import Affine2D
 
-from kraft.planning.workspace import poses_of
 from kraft.plot.page import Frame
 from kraft.plot.style import (
     CYCLE,
@@ -44,6 +43,7 @@ from kraft.scenario import Bounds, Box, Circle, Goal, Obstacle, OccupancyMap, Po
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.plan import TreeView
+from ompl_ext.poses import poses_of
 from ompl_ext.vehicle import Footprint, Vehicle
 
 EDGES_MAX = 30_000  # more edges cannot be distinguished

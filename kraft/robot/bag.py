@@ -20,7 +20,6 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from kraft.driving.messages import Cycle
 from kraft.errors import InputError
 from kraft.files import check_writable, file_mode, unwritable
-from kraft.planning.workspace import pose_of
 from kraft.recording.recorder import Recording
 from kraft.robot.display import Frames, cycle_messages, occupancy_grid, scene_markers
 from kraft.robot.messages import (
@@ -41,6 +40,7 @@ from kraft.scenario import Task
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
 from kraft.vehicles import CAR_CONTROLS, is_car
 from ompl_ext.arrays import Floats
+from ompl_ext.poses import pose_of
 from ompl_ext.vehicle import Vehicle
 
 LATCHED: Final = ("/map", "/markers/scene")

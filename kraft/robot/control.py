@@ -22,7 +22,6 @@ import numpy as np
 from kraft.driving.estimation.adaptive import Learned
 from kraft.driving.messages import Commitment, Estimate, Observation, ReferenceKind
 from kraft.errors import KraftError
-from kraft.planning.workspace import pose_of
 from kraft.robot.checklist import Checklist
 from kraft.robot.connect import open_transport
 from kraft.robot.guard import SILENCE
@@ -64,6 +63,7 @@ from kraft.robot.tracker import Tracker, warm_up
 from kraft.robot.transport import Transport
 from kraft.scenario import Goal
 from ompl_ext.arrays import Floats
+from ompl_ext.poses import pose_of
 from ompl_ext.vehicle import Vehicle
 
 LEAD_IN: Final = 0.6

@@ -11,11 +11,11 @@ from typing import Any, Final
 import numpy as np
 
 from kraft.driving.messages import Cycle, Reference, ReferenceKind
-from kraft.planning.workspace import poses_of
 from kraft.robot.messages import GRID, MARKERS, header, make, path, polygon, pose_fields, stamp
 from kraft.scenario import Box, Circle, Obstacle, OccupancyMap, Task
 from ompl_ext.arrays import Bools, Floats
 from ompl_ext.plan import TreeView
+from ompl_ext.poses import poses_of
 from ompl_ext.vehicle import Vehicle
 
 CELL: Final = 0.05

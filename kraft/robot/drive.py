@@ -30,7 +30,6 @@ from kraft.driving.vehicle_model import model_of
 from kraft.errors import Code, Diagnostic, InputError, KraftError
 from kraft.files import LineFile
 from kraft.planning.feasibility import geodesic_time, goal_hit
-from kraft.planning.workspace import pose_of
 from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
 from kraft.robot.guard import run_guard
@@ -55,6 +54,7 @@ from kraft.robot.tracker import warm_up
 from kraft.scenario import OccupancyMap, Task
 from kraft.trial.result import cycle_content
 from ompl_ext.arrays import Floats
+from ompl_ext.poses import pose_of
 from ompl_ext.signals import STOPPING
 
 LEAD: Final = 0.3

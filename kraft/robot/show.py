@@ -16,7 +16,6 @@ from typing import Any, Final, Self
 
 from kraft.driving.messages import Cycle
 from kraft.errors import KraftError
-from kraft.planning.workspace import pose_of
 from kraft.robot.bag import BagWriter, scene
 from kraft.robot.command import CommandCodec
 from kraft.robot.connect import open_transport
@@ -36,6 +35,7 @@ from kraft.robot.messages import (
 from kraft.robot.priority import leave_signals_to_planner, name_this_process, process_context
 from kraft.robot.protocol import DriveSpec, Sense
 from kraft.robot.transport import Transport
+from ompl_ext.poses import pose_of
 
 KINDS: Final = {"plan": PATH, "contingency": PATH, "footprint": POLYGON, "markers": MARKERS}
 

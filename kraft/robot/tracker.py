@@ -18,7 +18,6 @@ from kraft.driving.method import Oracle
 from kraft.driving.on_board import OnBoard
 from kraft.driving.references import manoeuvre_reference
 from kraft.driving.vehicle_model import model_of
-from kraft.planning.workspace import pose_of
 from kraft.robot.command import CommandCodec
 from kraft.robot.inputs import Inputs
 from kraft.robot.messages import to_cdr
@@ -26,6 +25,7 @@ from kraft.robot.poses import Clocks, PoseGuard
 from kraft.robot.protocol import Begin, DriveSpec
 from kraft.robot.transport import Transport
 from ompl_ext.arrays import Floats
+from ompl_ext.poses import pose_of
 from ompl_ext.query import Safety
 
 STANDSTILL: Final = 0.1

@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 
 from kraft.driving.messages import Cycle, Reference, ReferenceKind, as_driven
-from kraft.planning.workspace import poses_of, workspace_of
+from kraft.planning.workspace import workspace_of
 from kraft.plot.scene import outlines
 from kraft.plot.style import CYCLE, GOAL, WARNING
 from kraft.simulation.floor_frame import Surface
@@ -26,6 +26,7 @@ from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.plan import TreeView
+from ompl_ext.poses import poses_of
 from ompl_ext.vehicle import Vehicle
 
 TRAIL_SPACING = 0.04

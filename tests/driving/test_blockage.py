@@ -12,10 +12,10 @@ from kraft.driving.blockage import GAP, Blockage
 from kraft.driving.messages import Commitment, Cycle, Estimate, Reference, ReferenceKind
 from kraft.driving.method import Clearance
 from kraft.driving.replanner import FORGET, Replanner
-from kraft.planning.workspace import poses_of
 from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
 from ompl_ext.obstacles import Polygon, Workspace
+from ompl_ext.poses import poses_of
 
 PATIENCE, CYCLE = 1.0, 0.25
 STATE = np.array([1.0, 0.5, 0.5 * math.pi, 0.0])

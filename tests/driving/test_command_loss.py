@@ -16,10 +16,11 @@ from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.proposer import Proposer
 from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import braking_control, model_of
-from kraft.planning.workspace import poses_of, start_state
+from kraft.planning.workspace import start_state
 from kraft.scenario import load_scenario
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.plan import Plan
+from ompl_ext.poses import poses_of
 
 PLANNER = PlannerSettings(
     mode="replanning", iterations=600, safety=Clearance(delta=0.01), on_board="contingency", contingencies="tracked"

@@ -25,7 +25,6 @@ from kraft.driving.references import contingency_reference, plan_reference
 from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, MissingDependency
-from kraft.planning.workspace import pose_of
 from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.car import CAR, CAR_LAG
 from kraft.vehicles.f1tenth import F1TENTH
@@ -33,6 +32,7 @@ from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.mushr import MUSHR, MUSHR_FORCE
 from kraft.vehicles.unicycle2 import JACKAL, UNICYCLE2
 from ompl_ext.kernels.specialise import step_kernels
+from ompl_ext.poses import pose_of
 from ompl_ext.vehicle import Vehicle
 
 casadi = pytest.importorskip("casadi")

@@ -26,9 +26,9 @@ from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers, method_safety
 from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
-from kraft.planning.workspace import pose_of
 from ompl_ext.arrays import Floats, Floats32Cube
 from ompl_ext.obstacles import Polygon
+from ompl_ext.poses import pose_of
 
 GEODESIC = PlannerSettings(mode="replanning", type="geodesic")
 SMALL = Mppi(kind="mppi", rollouts=64, steps=20)
