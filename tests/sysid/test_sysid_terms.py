@@ -82,6 +82,17 @@ def test_friction_holds_the_car_at_rest_and_brings_it_to_rest() -> None:
         assert np.abs(resting[:, 3]).max() < 1e-6
 
 
+@pytest.mark.parametrize("step", [0.01, 0.1])
+@pytest.mark.parametrize("friction", [0.1, 0.3, 1.0])
+def test_a_car_rolls_out_as_far_as_dry_friction_lets_it(friction: float, step: float) -> None:
+    """From 0.5 m/s, without other losses: v^2 / (2 friction), and the car does not swing about standstill."""
+    model = car(friction=friction, damping=0.0, lever=0.0)
+    start, controls = np.array([[0.0, 0.0, 0.0, 0.5]]), np.zeros((round(8.0 / step), 1, 2))
+    states = DiscreteModel(model).simulate(start, controls, model.parameter_array[None], np.array([step]))[:, 0]
+    assert states[-1, 0] == pytest.approx(0.5**2 / (2.0 * friction), rel=0.02)
+    assert states[:, 3].min() > -1e-3
+
+
 def test_friction_that_vanishes_has_no_effect_on_a_coasting_car() -> None:
     start, controls = np.array([[0.0, 0.0, 0.0, 0.05]]), np.zeros((40, 1, 2))
     ends = []
