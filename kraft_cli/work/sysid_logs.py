@@ -15,7 +15,6 @@ from kraft.logs.mapping import Mapping, load_mapping
 from kraft.logs.reader import CONTROLS, MismatchError, read_logs
 from kraft.sysid.command_units import SIDES
 from kraft.sysid.data import screen_logs
-from kraft.text import counted
 
 MessageSink = Callable[[str], None]
 """Receives one message."""
@@ -126,8 +125,8 @@ def folded(problems: Sequence[Diagnostic]) -> list[str]:
         alike.setdefault(NUMBER.sub("#", f"{each.problem}; {each.expected}"), []).append(each)
     lines = []
     for first, *others in alike.values():
-        more = len({each.file for each in others} - {first.file})
-        same = f" (and the same of {counted(more, 'other file')})" if more > 1 else ""
+        files = list(dict.fromkeys(each.file for each in others if each.file != first.file))
+        same = f" (and the same of {', '.join(files)})" if len(files) > 1 else ""
         lines += [f"{first}{same}"] if same else [str(each) for each in (first, *others)]
     return lines
 

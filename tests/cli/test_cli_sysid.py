@@ -470,5 +470,5 @@ def test_the_same_problem_of_many_logs_is_one_line() -> None:
     problems = [Diagnostic(f"run_{k}", f"'left' goes from 1500 to {1800 + k}", "expected a command") for k in range(8)]
     other = Diagnostic("run_9", "has no poses", "expected some")
     first, last = folded([*problems, other])
-    assert first == f"{problems[0]} (and the same of 7 other files)"
+    assert first == f"{problems[0]} (and the same of run_1, run_2, run_3, run_4, run_5, run_6, run_7)"
     assert last == str(other)
