@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -19,8 +18,6 @@ from kraft.sysid.data import screen_logs
 MessageSink = Callable[[str], None]
 """Receives one message."""
 
-NUMBER: Final = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
-"""A number in a message."""
 HARMLESS: Final = {
     "wrap": "yaw wraps; made continuous, nothing is left out",
     "dropout": "some poses are missing; nothing is left out",
@@ -69,8 +66,8 @@ def read_sysid_logs(
     _report_logs(long.logs, info, detail)
     for shortened in long.shortened:
         info(shortened)
-    for line in folded((*found.problems, *long.problems)):
-        warn(f"left out: {line}")
+    for problem in (*found.problems, *long.problems):
+        warn(f"left out: {problem}")
     if not long.logs:
         raise _none_usable(len(discover(paths, controls, mapping)[0]), (*found.problems, *long.problems))
     return LogSet(long.logs, (*found.problems, *long.problems))
@@ -114,21 +111,8 @@ def _none_usable(count: int, problems: Sequence[Diagnostic]) -> NegativeResult:
 
 def report_problems(error: InputError, warn: MessageSink) -> None:
     """Report every problem of an error."""
-    for line in folded(error.diagnostics):
-        warn(line)
-
-
-def folded(problems: Sequence[Diagnostic]) -> list[str]:
-    """Lines of problems, with one line for those of several files that differ in their numbers alone."""
-    alike: dict[str, list[Diagnostic]] = {}
-    for each in problems:
-        alike.setdefault(NUMBER.sub("#", f"{each.problem}; {each.expected}"), []).append(each)
-    lines = []
-    for first, *others in alike.values():
-        files = list(dict.fromkeys(each.file for each in others if each.file != first.file))
-        same = f" (and the same of {', '.join(files)})" if len(files) > 1 else ""
-        lines += [f"{first}{same}"] if same else [str(each) for each in (first, *others)]
-    return lines
+    for diagnostic in error.diagnostics:
+        warn(str(diagnostic))
 
 
 def _report_logs(logs: Sequence[Log], info: MessageSink, detail: MessageSink) -> None:

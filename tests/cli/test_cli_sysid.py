@@ -14,14 +14,12 @@ from support.logs import REAL_LOGS, needs_real_logs
 from support.paths import ROOT
 from support.recorded import FOUR, IDENTIFY
 
-from kraft.errors import Diagnostic
 from kraft.recording import experiment
 from kraft.sysid import factor_graph as compilation
 from kraft.sysid.parameters import is_unknown_to_planning
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
 from kraft_cli.work import sysid as module
-from kraft_cli.work.sysid_logs import folded
 
 KEYS = {"model", "params", "rmse_train_m", "rmse_holdout_m", "logs", "converged", "iterations", "wall_s", "warnings"}
 
@@ -464,11 +462,3 @@ def test_a_table_of_poses_without_rows_is_named_for_a_robot_with_two_sides(
     problem, last = said(capsys)
     assert problem.startswith(f"{run / 'poses.csv'}: has a heading but no rows")
     assert last == "error: the only log cannot be used"
-
-
-def test_the_same_problem_of_many_logs_is_one_line() -> None:
-    problems = [Diagnostic(f"run_{k}", f"'left' goes from 1500 to {1800 + k}", "expected a command") for k in range(8)]
-    other = Diagnostic("run_9", "has no poses", "expected some")
-    first, last = folded([*problems, other])
-    assert first == f"{problems[0]} (and the same of run_1, run_2, run_3, run_4, run_5, run_6, run_7)"
-    assert last == str(other)
