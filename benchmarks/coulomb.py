@@ -25,12 +25,11 @@ def driven(truth: Mapping[str, float], acting: Floats, step: float) -> Floats:
         acting: throttle and steering (steps, cars, 2), each held for a step.
         step: s, a multiple of `SUBSTEP`.
     """
-    drive, wheel = _drive(truth, acting[..., 0]), _wheel(truth, acting[..., 1])
+    share, wheel = _beyond(truth, acting[..., 0]), _wheel(truth, acting[..., 1])
     substeps, cars = round(step / SUBSTEP), acting.shape[1]
     x, y, theta, v, delta, r = np.zeros((6, cars))
     states = np.zeros((len(acting) + 1, cars, 6))
-    for i, (push, target) in enumerate(zip(drive, wheel, strict=True)):
-        throttle = acting[i, :, 0]
+    for i, (u, target) in enumerate(zip(share, wheel, strict=True)):
         for _ in range(substeps):
             bend = _curvature(truth, v, delta)
             slip, yaw = truth["slip"] * v * r, theta - truth["yaw_offset"]
@@ -38,18 +37,17 @@ def driven(truth: Mapping[str, float], acting: Floats, step: float) -> Floats:
             vy = v * np.sin(yaw - slip) + truth["lever"] * r * np.cos(yaw)
             x, y, theta = x + SUBSTEP * vx, y + SUBSTEP * vy, theta + SUBSTEP * r
             rate = (target - delta) / truth["tau_steer"]
-            v = _speed_after(truth, v, r, delta, bend, push, throttle)
+            v = _speed_after(truth, v, r, delta, bend, u)
             delta = delta + SUBSTEP * rate / np.hypot(1.0, rate * truth["rate_limit"])
             r = r + SUBSTEP * (v * bend - r) / truth["tau_yaw"]
         states[i + 1] = np.column_stack([x, y, theta, v, delta, r])
     return states
 
 
-def _drive(truth: Mapping[str, float], throttle: Matrix) -> Matrix:
-    """Acceleration by the throttle, forward."""
-    beyond = np.sign(throttle) * np.maximum(np.abs(throttle) - truth["dead_zone"], 0.0)
-    driven: Matrix = truth["a_drive"] * beyond * (1.0 + truth["progression"] * np.abs(beyond))
-    return driven
+def _beyond(truth: Mapping[str, float], throttle: Matrix) -> Matrix:
+    """Throttle beyond the dead zone."""
+    beyond: Matrix = np.sign(throttle) * np.maximum(np.abs(throttle) - truth["dead_zone"], 0.0)
+    return beyond
 
 
 def _wheel(truth: Mapping[str, float], steering: Matrix) -> Matrix:
@@ -65,11 +63,9 @@ def _curvature(truth: Mapping[str, float], v: Floats, delta: Floats) -> Floats:
     return bend
 
 
-def _speed_after(
-    truth: Mapping[str, float], v: Floats, r: Floats, delta: Floats, bend: Floats, push: Floats, throttle: Floats
-) -> Floats:
+def _speed_after(truth: Mapping[str, float], v: Floats, r: Floats, delta: Floats, bend: Floats, u: Floats) -> Floats:
     """Speed after a substep; friction brings a car to rest and holds it, and never reverses it."""
-    share = np.maximum(np.abs(throttle) - truth["dead_zone"], 0.0)
+    push = truth["a_drive"] * u * (1.0 + truth["progression"] * np.abs(u))
     push = np.where(push * v < 0.0, truth["brake"] * push, push)
     lateral, turned = v * r, np.tan(delta)
     friction = (
@@ -77,7 +73,7 @@ def _speed_after(
         + truth["scrub"] * np.abs(lateral * turned)
         + truth["skid"] * np.abs(lateral * (turned - truth["L"] * bend))
     )
-    losses = (truth["damping"] + truth["back_emf"] * share) * v + truth["drag"] * v * np.abs(v)
+    losses = (truth["damping"] + truth["back_emf"] * np.abs(u)) * v + truth["drag"] * v * np.abs(v)
     rolling = v + SUBSTEP * (push - losses)
     after: Floats = np.sign(rolling) * np.maximum(np.abs(rolling) - SUBSTEP * friction, 0.0)
     return after

@@ -21,7 +21,8 @@ from kraft.scenario import Scenario
 from kraft.scenario.schema import Bounds
 from kraft.simulation.true_world import world_of
 from kraft_cli.work.record import RecordRequest, record_logs
-from kraft_cli.work.sysid import SysidRequest, run_sysid
+from kraft_cli.work.sysid import run_sysid
+from kraft_cli.work.sysid_request import SysidRequest
 from ompl_ext.plan import Plan
 from ompl_ext.vehicle import Vehicle
 

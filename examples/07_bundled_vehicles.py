@@ -24,8 +24,9 @@ from kraft.files import write_whole
 from kraft.sysid.vehicle_file import identification_record, vehicle_text
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.work.record import RecordRequest, record_logs
-from kraft_cli.work.sysid import SysidRequest, SysidResult, run_sysid
+from kraft_cli.work.sysid import SysidResult, run_sysid
 from kraft_cli.work.sysid_report import parameter_table, prediction_table
+from kraft_cli.work.sysid_request import SysidRequest
 
 MODELS = ("mushr", "mushr-lag", "mushr-drive")
 

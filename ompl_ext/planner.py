@@ -247,10 +247,12 @@ class DIRT(ob.Planner):
 
     def _report(self, search: Search, definition: ob.ProblemDefinition, goal: ob.Goal) -> ob.PlannerStatus:
         """Status; a path that does not reach the goal is added to the problem definition here."""
-        path, exact = search.best_path()
-        if path is None:
+        node, exact = search.best()
+        if node < 0:
             return ob.PlannerStatus(ob.PlannerStatus.TIMEOUT)
         if not exact:
+            path, _ = search.best_path()
+            assert path is not None, "there is a node"
             end = path.getState(path.getStateCount() - 1)
             difference = float(goal.distanceGoal(end)) if hasattr(goal, "distanceGoal") else -1.0
             definition.addSolutionPath(path, True, difference, self.getName())

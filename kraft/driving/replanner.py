@@ -107,7 +107,7 @@ class Replanner:
         self._proposer = self._propose_with(solvers)
         self._blockage = None if settings.blocked is None else Blockage(settings.blocked, self.dirt.vehicle)
         self._blocked: tuple[Polygon, ...] = ()
-        self._has_maps = True  # whether the solvers know them
+        self._has_maps = True  # whether the solvers in use know them
         self._fruitless = 0  # number of the latest cycles without a plan to the goal
         self._predict = ClosedLoopPredictor(self.dirt, controller, period)
         self._ranking: ContingencyRanking | None = None
@@ -176,7 +176,7 @@ class Replanner:
 
     def _use(self, solvers: Solvers) -> None:
         """Use the solvers of the proposer for all the rest."""
-        self._solvers, self.dirt = solvers, solvers.checking
+        self._solvers, self.dirt, self._has_maps = solvers, solvers.checking, True
         self._predict = replace(self._predict, dirt=self.dirt)
         set_map(self._predict.controller, self.dirt)
         if self._ranking is not None:
@@ -260,7 +260,7 @@ class Replanner:
     def _make_maps(self) -> None:
         """Make the solvers for what blocks the vehicle."""
         solvers = self._solvers.with_obstacles(self._blocked, self._settings)
-        self._proposer, self._has_maps = self._propose_with(solvers), True
+        self._proposer = self._propose_with(solvers)
         self._use(solvers)
 
     def _calibrate(self, estimate: Estimate) -> None:

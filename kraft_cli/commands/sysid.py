@@ -81,8 +81,9 @@ def sysid(
 
     The exit code is 1 if the logs do not identify them.
     """
-    from kraft_cli.work.sysid import SysidRequest, run_sysid
+    from kraft_cli.work.sysid import run_sysid
     from kraft_cli.work.sysid_report import SCHEMA, sysid_json
+    from kraft_cli.work.sysid_request import SysidRequest
 
     terminal: Terminal = context.obj
     request = SysidRequest(

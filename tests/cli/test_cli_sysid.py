@@ -20,6 +20,7 @@ from kraft.sysid.parameters import is_unknown_to_planning
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
 from kraft_cli.work import sysid as module
+from kraft_cli.work.sysid_request import SysidRequest, checked
 
 KEYS = {"model", "params", "rmse_train_m", "rmse_holdout_m", "logs", "converged", "iterations", "wall_s", "warnings"}
 
@@ -447,7 +448,7 @@ def test_without_a_model_the_commands_in_the_logs_decide_between_a_car_and_a_rob
     run.mkdir(parents=True)
     np.savetxt(run / "commands.csv", commands, fmt="%.9g", delimiter=",", header=columns, comments="")
     np.savetxt(run / "poses.csv", poses, fmt="%.9g", delimiter=",", header="t,x,y,yaw", comments="")
-    base, _ = module._checked(module.SysidRequest(logs=(tmp_path / "other",)))
+    base, _ = checked(SysidRequest(logs=(tmp_path / "other",)))
     assert base.name == model
 
 

@@ -36,7 +36,7 @@ def rewrite(run: Path, file: str, change: Callable[[np.ndarray], np.ndarray]) ->
 
 
 BAD: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray], str]] = {
-    "clock": ("commands.csv", lambda c: c + np.array([1.0, 0.0, 0.0]), "logs: the commands are recorded 1.0"),
+    "clock": ("commands.csv", lambda c: c + np.array([1.0, 0.0, 0.0]), "logs: the commands are recorded 1.04 s later than they act"),
     "swapped commands": ("commands.csv", lambda c: c[:, [0, 2, 1]], "logs: throttle and steering are swapped"),
     "swapped places": ("poses.csv", lambda p: p[:, [0, 2, 1, 3]], "'x' and 'y' are swapped"),
     "steering of a constant": ("commands.csv", lambda c: c * [1.0, 1.0, 0.0], "steering is always 0"),

@@ -385,9 +385,7 @@ def test_memory_grows_up_to_the_most_nodes(callbacks: bool, monkeypatch: pytest.
     assert len(unlimited.tree().parents) > 200
     began = time.perf_counter()
     setup = arena()
-    limited = DIRT(setup.getSpaceInformation(), use_callbacks=callbacks, max_nodes=200)
-    setup.setPlanner(limited)
-    setup.setup()
+    limited = planned(setup, 0, use_callbacks=callbacks, max_nodes=200)
     setup.solve(30.0)
     assert 100 < len(limited.tree().parents) <= 200
     assert time.perf_counter() - began < 20.0  # memory has ended the search

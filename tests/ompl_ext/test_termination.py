@@ -12,8 +12,6 @@ from ompl import base as ob
 from ompl import util as ou
 from support.ompl_setup import arena, planned
 
-from ompl_ext.planner import DIRT
-
 ou.setLogLevel(ou.LOG_NONE)
 STATUS = ob.PlannerStatus
 CALLBACKS = pytest.mark.parametrize("callbacks", [False, True])
@@ -30,9 +28,7 @@ def _no_collection() -> Iterator[None]:
 @CALLBACKS
 def test_a_function_with_an_interval_is_asked_by_the_thread_that_solves(callbacks: bool) -> None:
     setup = arena()
-    planner = DIRT(setup.getSpaceInformation(), use_callbacks=callbacks)
-    setup.setPlanner(planner)
-    setup.setup()
+    planner = planned(setup, 0, use_callbacks=callbacks)
     threads: list[int] = []
 
     def asked_three_times() -> bool:
@@ -54,9 +50,7 @@ def test_neither_the_condition_nor_the_search_is_held_after_it_is_dropped(callba
             return self.asked > 2
 
     setup, condition = arena(), Condition()
-    planner = DIRT(setup.getSpaceInformation(), use_callbacks=callbacks)
-    setup.setPlanner(planner)
-    setup.setup()
+    planner = planned(setup, 0, use_callbacks=callbacks)
     planner.solve(condition)
     dropped, search = weakref.ref(condition), weakref.ref(planner._search)
     del condition
@@ -76,9 +70,7 @@ def test_every_kind_of_termination_condition_ends_solve() -> None:
 
 def test_an_exhausted_budget_is_a_timeout_or_an_approximate_solution() -> None:
     setup = arena(goal=(3.5, 0.5))
-    planner = DIRT(setup.getSpaceInformation(), child_extension=False, blossom=4)
-    setup.setPlanner(planner)
-    setup.setup()
+    planner = planned(setup, 0, child_extension=False, blossom=4)
     assert planner.solve(ob.plannerAlwaysTerminatingCondition()) == STATUS.TIMEOUT
     calls = iter([False, True, True, True])
     assert planner.solve(lambda: next(calls)) == STATUS.APPROXIMATE_SOLUTION
@@ -89,9 +81,7 @@ def test_an_exhausted_budget_is_a_timeout_or_an_approximate_solution() -> None:
 def test_a_condition_sees_the_first_path_to_the_goal_while_dirt_solves(callbacks: bool) -> None:
     setup = arena()
     definition = setup.getProblemDefinition()
-    planner = DIRT(setup.getSpaceInformation(), use_callbacks=callbacks)
-    setup.setPlanner(planner)
-    setup.setup()
+    planner = planned(setup, 0, use_callbacks=callbacks)
     exact = ob.exactSolnPlannerTerminationCondition(definition)
     for _ in range(2):  # the second time without a path in the definition
         asked: list[int] = []
@@ -111,9 +101,7 @@ def test_a_condition_sees_the_first_path_to_the_goal_while_dirt_solves(callbacks
 def test_better_paths_are_added_once_each(callbacks: bool) -> None:
     setup = arena()
     definition = setup.getProblemDefinition()
-    planner = DIRT(setup.getSpaceInformation(), use_callbacks=callbacks)
-    setup.setPlanner(planner)
-    setup.setup()
+    planner = planned(setup, 0, use_callbacks=callbacks)
     lengths: list[float] = []  # while it solves
 
     def ends() -> bool:
