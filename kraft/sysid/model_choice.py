@@ -18,7 +18,8 @@ from kraft.sysid.interface import Identification, ModelTrial, Settings
 from kraft.sysid.optimiser import OnIteration, ignore_iteration
 from kraft.sysid.prediction import HORIZONS, is_predictable, predict_windows, window_errors
 from kraft.sysid.smoothing import thinned
-from kraft.sysid.terms import check_controls, identify_terms
+from kraft.sysid.structure_choice import CLEARLY_WORSE
+from kraft.sysid.terms import check_controls, error_of_all_terms, identify_terms
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Matrix
 
@@ -142,11 +143,36 @@ def _with_terms(logs: Sequence[Log], settings: Settings, on_iteration: OnIterati
     """The car with the terms that the logs need, commands in the range of the logs."""
     cars = [for_commands(load_base_vehicle(name), logs) for name in CARS]
     if WHEELBASE not in settings.values:
-        cars = [for_turns(each, logs) for each in cars]
-    definitions = [each.definition for each in cars if isinstance(each.definition, VehicleConfig)]
+        cars = with_wheelbase(cars, logs, settings, on_iteration)
+    definitions = _definitions(cars)
     choice = identify_terms(definitions[0], logs, settings, on_iteration, definitions[1])
     base = next(each for each in cars if each.definition is choice.vehicle)
     return IdentifiedCar(with_speed(base, choice.identification, logs), choice.identification)
+
+
+def with_wheelbase(
+    cars: Sequence[BaseVehicle],
+    logs: Sequence[Log],
+    settings: Settings,
+    on_iteration: OnIteration = ignore_iteration,
+) -> list[BaseVehicle]:
+    """The cars with the wheelbase that suits the turns of the logs, or as they are if they predict clearly better.
+
+    Understeer and lags make turns wide.  A wheelbase that is chosen for wide turns is too long, and then the tangent
+    of the wheel angle bends where that of the car does not.
+    """
+    suited = [for_turns(each, logs) for each in cars]
+    if all(each is before for each, before in zip(suited, cars, strict=True)):
+        return list(cars)
+    stated, chosen = (
+        error_of_all_terms(_definitions(each)[0], logs, settings, on_iteration) for each in (cars, suited)
+    )
+    return list(cars) if stated < (1.0 - CLEARLY_WORSE) * chosen else suited
+
+
+def _definitions(cars: Sequence[BaseVehicle]) -> list[VehicleConfig]:
+    """Vehicle files of the cars."""
+    return [each.definition for each in cars if isinstance(each.definition, VehicleConfig)]
 
 
 def _known(name: str, logs: Sequence[Log], settings: Settings, on_iteration: OnIteration) -> IdentifiedCar | None:

@@ -70,14 +70,8 @@ def identify_terms(
     Raises:
         InputError: if the logs cannot be used, or a control never changes in them.
     """
-    settings = settings or Settings()
-    check_settings(vehicle, settings)
-    usable = usable_logs(vehicle_of(vehicle), logs)
+    usable, settings, held = _prepared(vehicle, logs, settings or Settings())
     steered = SteeringInMotion.of(usable)
-    check_controls(usable, steered)
-    settings = with_clock_offset(settings, usable)
-    held = _shown_by_both_sides(vehicle, steered)
-    settings = replace(settings, frozen=(*settings.frozen, *held))
     search = StructureSearch(vehicle, usable, settings, on_iteration)
     best, final, path, trials = _searched(search)
     if simpler is not None and steered.changes:
@@ -99,6 +93,27 @@ def identify_terms(
     notes = [f"not identified, because only turns to both sides show them: {', '.join(held)}"] if held else []
     notes += _wheelbase_note(identification, settings)
     return ModelChoice(vehicle, replace(identification, trials=rows, notes=(*identification.notes, *notes)))
+
+
+def error_of_all_terms(
+    vehicle: VehicleConfig, logs: Sequence[Log], settings: Settings, on_iteration: OnIteration = ignore_iteration
+) -> float:
+    """Error of a model with all of its terms on logs that it was not fitted to, m/s; as for `identify_terms`."""
+    usable, settings, _ = _prepared(vehicle, logs, settings)
+    return StructureSearch(vehicle, usable, settings, on_iteration).full().score
+
+
+def _prepared(
+    vehicle: VehicleConfig, logs: Sequence[Log], settings: Settings
+) -> tuple[list[Log], Settings, tuple[str, ...]]:
+    """Usable logs, the settings for them, and the parameters that these freeze because no log shows them."""
+    check_settings(vehicle, settings)
+    usable = usable_logs(vehicle_of(vehicle), logs)
+    steered = SteeringInMotion.of(usable)
+    check_controls(usable, steered)
+    settings = with_clock_offset(settings, usable)
+    held = _shown_by_both_sides(vehicle, steered)
+    return usable, replace(settings, frozen=(*settings.frozen, *held)), held
 
 
 def _searched(

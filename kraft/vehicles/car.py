@@ -32,6 +32,8 @@ TURNOVER = 0.05
 
 Half a step of the planner: longer, the car rolls out too far; shorter, steps of 0.1 s ring about standstill.
 """
+REVERSAL = 0.2
+"""Share by which the drive exceeds friction from which on its sense changes at standstill: the car does not stay there."""
 LEAST_WIDTH = 0.01
 """Least speed over which the sense of friction changes, m/s, so that derivatives exist without friction too."""
 SOFT_THROTTLE = 0.02
@@ -62,19 +64,23 @@ def actuation(u: Values, p: Values) -> Values:
 def acceleration(v: float, effective: float, lateral: float, turned: float, sliding: float, p: Values) -> float:
     """Acceleration along the car (m/s^2), `lateral` its lateral acceleration, `turned` the tangent of the angle."""
     size = effective if effective > 0.0 else -effective
-    against = -effective * v
-    opposed = against / sqrt(against * against + 1e-6) if against > 0.0 else 0.0
+    contrary = -effective * v
+    opposed = contrary / sqrt(contrary * contrary + 1e-6) if contrary > 0.0 else 0.0
     pushed = p[8] * effective * (1.0 + p[10] * size) * (1.0 + (p[11] - 1.0) * opposed)
     drag = lateral * turned
     brake = p[14] + p[16] * (drag if drag > 0.0 else -drag) + p[20] * (sliding if sliding > 0.0 else -sliding)
     beyond = (pushed - brake if pushed > brake else 0.0) + (pushed + brake if pushed < -brake else 0.0)
     left = brake - (pushed if pushed > 0.0 else -pushed)  # friction that the drive does not use up
-    width = TURNOVER * brake
+    reversing = 1.0 + (left / (REVERSAL * brake + 1e-9) if left < 0.0 else 0.0)
+    width = TURNOVER * brake * (reversing if reversing > 0.0 else 0.0)
     held = v * left / sqrt(width * width + v * v) if left > 0.0 else 0.0  # less than friction
     square, wide = v * v, width * width + LEAST_WIDTH * LEAST_WIDTH
     root = sqrt(square * square + wide * wide)
     moving, sense = square / root, v / sqrt(root)
-    driven = moving * (pushed - brake * sense) + (1.0 - moving) * (beyond - held)
+    along = pushed if pushed * v > 0.0 else 0.0  # a car that drives away has its full friction at once
+    used = along if -brake < along < brake else (brake if along > 0.0 else -brake)
+    against = brake * sense + (1.0 - (sense if sense > 0.0 else -sense)) * used
+    driven = moving * (pushed - against) + (1.0 - moving) * (beyond - held)
     return driven - (p[13] + p[12] * size) * v - p[15] * v * (v if v > 0.0 else -v)
 
 

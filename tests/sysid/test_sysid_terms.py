@@ -26,7 +26,7 @@ from kraft.sysid.base_vehicle import (
 from kraft.sysid.chains import whole_segment
 from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.dynamics import DiscreteModel
-from kraft.sysid.model_choice import identify_car
+from kraft.sysid.model_choice import identify_car, with_wheelbase
 from kraft.sysid.parameters import parameters_of
 from kraft.sysid.prediction import constant_windows, window_errors
 from kraft.sysid.selection import is_shown
@@ -91,6 +91,19 @@ def test_a_car_rolls_out_as_far_as_dry_friction_lets_it(friction: float, step: f
     states = DiscreteModel(model).simulate(start, controls, model.parameter_array[None], np.array([step]))[:, 0]
     assert states[-1, 0] == pytest.approx(0.5**2 / (2.0 * friction), rel=0.02)
     assert states[:, 3].min() > -1e-3
+
+
+@pytest.mark.parametrize(("speed", "drive"), [(0.0, 1.05), (0.0, 1.5), (0.5, -1.5), (0.5, -3.0)])
+def test_a_car_drives_away_and_reverses_as_dry_friction_lets_it(speed: float, drive: float) -> None:
+    """Drive over friction: constant acceleration to either side of standstill, at which friction changes its sense."""
+    friction, step, time = 1.0, 0.01, 2.0
+    model = car(friction=friction, damping=0.0, back_emf=0.0, dead_zone=0.0, lever=0.0)
+    start, count = np.array([[0.0, 0.0, 0.0, speed]]), round(time / step)
+    controls = np.tile([drive * friction / model.parameters["a_drive"], 0.0], (count, 1, 1))
+    states = DiscreteModel(model).simulate(start, controls, model.parameter_array[None], np.array([step]))[:, 0]
+    at_rest = speed / (abs(drive) + friction)  # time of the standstill, s
+    after = (abs(drive) - friction) * (time - at_rest)
+    assert abs(states[-1, 3]) == pytest.approx(after, abs=0.005)
 
 
 def test_friction_that_vanishes_has_no_effect_on_a_coasting_car() -> None:
@@ -291,6 +304,20 @@ def test_a_car_of_another_size_has_a_wheelbase_that_suits_it(wheelbase: float, e
     assert before.max is not None
     assert lever.max == pytest.approx(before.max * found.vehicle.parameters["L"] / 0.33)
     assert (found is base) == (wheelbase == 0.25)
+
+
+@pytest.mark.parametrize(("wheelbase", "understeer"), [(0.33, 0.15), (4.0, 0.0)], ids=["understeer", "large"])
+def test_turns_that_understeer_makes_wide_are_not_those_of_a_larger_car(wheelbase: float, understeer: float) -> None:
+    speed = {"a_drive": 4.5, "damping": 0.7, "friction": 0.0}
+    lags = {"tau_steer": 0.2, "tau_yaw": 0.25, "rate_limit": 0.4}
+    model = load_vehicle(
+        "car-lag", parameters={**TRUTH, **speed, **lags, "L": wheelbase, "understeer": understeer, "saturation": 1.0}
+    )
+    logs = [drive(model, seed, seconds=20.0, low=(0.3, -1.0)) for seed in range(4)]
+    base = load_base_vehicle("car-lag")
+    assert for_turns(base, logs).vehicle.parameters["L"] > 2.0 * base.vehicle.parameters["L"]
+    (found,) = with_wheelbase([base], logs, Settings())
+    assert found.vehicle.parameters["L"] == pytest.approx(wheelbase, rel=0.5)
 
 
 def test_a_slow_servo_is_no_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:
