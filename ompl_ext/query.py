@@ -35,9 +35,15 @@ class Goal:
 
     def contains(self, vehicle: Vehicle, state: Floats) -> bool:
         """Whether a state (nx,) of a vehicle is in the region."""
-        x, y, theta = (vehicle.index(name) for name in ("x", "y", "theta"))
-        if math.hypot(state[x] - self.center[0], state[y] - self.center[1]) >= self.radius:
-            return False
+        return self.distance(vehicle, state) < self.radius and self.is_within_limits(vehicle, state)
+
+    def distance(self, vehicle: Vehicle, state: Floats) -> float:
+        """Distance of a state (nx,) to the centre, m."""
+        return math.hypot(state[vehicle.index("x")] - self.center[0], state[vehicle.index("y")] - self.center[1])
+
+    def is_within_limits(self, vehicle: Vehicle, state: Floats) -> bool:
+        """Whether the heading and the further components of a state (nx,) are within their limits, at any position."""
+        theta = vehicle.index("theta")
         if self.has_heading and theta >= 0 and math.cos(state[theta] - self.heading) < math.cos(self.tolerance):
             return False
         return all(low <= state[vehicle.index(name)] <= high for name, (low, high) in self.limits.items())

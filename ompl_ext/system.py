@@ -106,23 +106,14 @@ class PlanarGoal(ob.GoalRegion):
     def __init__(self, si: oc.SpaceInformation, vehicle: Vehicle, goal: Goal) -> None:
         goal.check(vehicle)
         super().__init__(si)
-        self.goal = goal
-        self._limits = [(vehicle.index(name), low, high) for name, (low, high) in goal.limits.items()]
-        self._x, self._y, self._theta = (vehicle.index(name) for name in ("x", "y", "theta"))
-        self._center = goal.center
-        self._has_heading = self._theta >= 0 and goal.tolerance < math.pi
-        self._least_cosine = math.cos(min(goal.tolerance, math.pi))
+        self.goal, self._vehicle = goal, vehicle
         self.setThreshold(goal.radius)
 
     def distanceGoal(self, state: ob.State) -> float:  # noqa: N802
         """Distance to the centre (m); above the radius if the heading or a component is outside its limits."""
-        x, y = self._center
-        distance = math.hypot(state[self._x] - x, state[self._y] - y)
-        if self._has_heading and math.cos(state[self._theta] - self.goal.heading) < self._least_cosine:
-            return max(distance, 1.001 * self.getThreshold())
-        if any(not low <= state[k] <= high for k, low, high in self._limits):
-            return max(distance, 1.001 * self.getThreshold())
-        return distance
+        distance = self.goal.distance(self._vehicle, state)
+        within = self.goal.is_within_limits(self._vehicle, state)
+        return distance if within else max(distance, 1.001 * self.getThreshold())
 
 
 def sampling_range(vehicle: Vehicle, workspace: Workspace) -> Floats:
