@@ -92,9 +92,9 @@ class EdgeChecker:
         brake.source[:] = state
         self._search.brake(self._problem, self._memory.work, brake, math.inf)
         trajectory = brake.trajectory.reshape(-1, len(self.vehicle.state), LANE_WIDTH)
-        rest, found = list(self.vehicle.rest_indices), []
+        found = []
         for number in range(len(self.vehicle.manoeuvres)):
-            resting = np.all(np.abs(trajectory[:, rest, number]) <= self.safety.rest_speed, axis=1)
+            resting = self.safety.is_resting(self.vehicle, trajectory[:, :, number])
             samples = int(np.argmax(resting)) + 1 if resting.any() else len(trajectory)
             found.append(trajectory[:samples, :, number].copy())
         return found

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ompl_ext.arrays import Floats
+from ompl_ext.arrays import Bools, Floats
 from ompl_ext.kernels.kernel_types import LANE_WIDTH
 from ompl_ext.vehicle import Vehicle
 
@@ -71,9 +71,8 @@ class Safety:
     `delta_horizon`.  After `near` s it is `far_delta` + `far_delta_per_speed` |v| instead.  The planner takes a
     contingency to begin at the end of the cycle.
 
-    With `enabled`, every edge that crosses the end of the cycle must pass SAFETY (Alg. 2).  A vehicle is at standstill
-    when each of its `rest` components is below `rest_speed`; a manoeuvre without standstill within `horizon` s is not
-    safe.
+    With `enabled`, every edge that crosses the end of the cycle must pass SAFETY (Alg. 2).  A manoeuvre without
+    standstill within `horizon` s is not safe.
     """
 
     enabled: bool = True
@@ -102,6 +101,11 @@ class Safety:
             raise ValueError(f"safety: numbers must be finite and not negative, got {self}")
         if self.horizon / self.step > MAX_STEPS:
             raise ValueError(f"safety: a horizon of {self.horizon} s has too many steps of {self.step} s")
+
+    def is_resting(self, vehicle: Vehicle, state: Floats) -> Bools:
+        """Whether states (..., nx) are at standstill: no `rest` component of the vehicle is above `rest_speed`."""
+        resting: Bools = np.all(np.abs(state[..., list(vehicle.rest_indices)]) <= self.rest_speed, axis=-1)
+        return resting
 
     def clearance(self, speed: Floats, time: Floats) -> Floats:
         """delta(t, v) (n,) at speeds (n,), m/s, and times (n,) since the begin of the query, s."""

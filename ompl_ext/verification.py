@@ -83,8 +83,7 @@ def verify(dirt: DirtSolver, plan: Plan) -> Verification:
     every = np.ones(len(stop.times), bool)
     times = stop.times - stop.times[0] + dirt.safety.cycle  # as the planner takes it to begin
     problems += _clearance_violations(dirt, "contingency", times, stop.states, stopping, every)
-    final_speeds = np.abs(stop.states[-1][list(dirt.vehicle.rest_indices)])
-    if np.any(final_speeds > dirt.safety.rest_speed):
+    if not dirt.safety.is_resting(dirt.vehicle, stop.states[-1]):
         problems.append(Violation(Requirement.STANDSTILL, "contingency: does not end at standstill"))
     return Verification(least, stopping.least()[0], tuple(problems))
 

@@ -16,7 +16,6 @@ from typing import Final
 import numpy as np
 
 from kraft.driving.messages import PredictedMotion
-from kraft.driving.prediction import is_resting
 from kraft.driving.references import plan_reference
 from kraft.driving.vehicle_model import braking_control, model_of
 from ompl_ext.arrays import Bools, Floats, Matrix
@@ -57,7 +56,7 @@ class CommandLoss:
         dirt, safety = self.dirt, self.dirt.safety
         trajectory, slack = dirt.edge(state, held, self.timeout, since)
         for _ in range(math.ceil(safety.horizon / STEP)):
-            if slack < 0.0 or is_resting(dirt, trajectory[-1]):
+            if slack < 0.0 or safety.is_resting(dirt.vehicle, trajectory[-1]):
                 return slack
             control = braking_control(dirt.vehicle, trajectory[-1], held)
             trajectory, step_slack = dirt.edge(trajectory[-1], control, STEP, since)

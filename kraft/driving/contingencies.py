@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from kraft.driving.messages import ContingencyOrigin, PredictedMotion, Reference, ReferenceKind
-from kraft.driving.prediction import ClosedLoopPredictor, is_resting, least_slack
+from kraft.driving.prediction import ClosedLoopPredictor, least_slack
 from kraft.driving.references import manoeuvre_reference
 from kraft.driving.vehicle_model import VehicleModel, stop_control
 from ompl_ext.arrays import Floats, Matrix
@@ -126,7 +126,9 @@ class ContingencyRanking:
 
     def _along(self, state: Floats, time: float, plans: Sequence[Reference]) -> Iterator[_Candidate]:
         """Contingencies that follow a plan first; they do not move a vehicle that stands."""
-        for plan in plans if not is_resting(self._dirt, state) else ():
+        if self._dirt.safety.is_resting(self._dirt.vehicle, state):
+            return
+        for plan in plans:
             for leaves in (time + duration for duration in FOLLOWED if time + duration < plan.end):
                 _, followed, _ = _part(plan, time, leaves)
                 for number, states in enumerate(self._dirt.manoeuvres(followed[-1])):
@@ -252,6 +254,6 @@ class _PredictedManoeuvre:
                 impact_speed = abs(float(states[-1][vehicle.rest_indices[0]]))
             distance = min(distance, nearest)
             states.append(samples[-1])
-            if is_resting(dirt, states[-1]):
+            if safety.is_resting(vehicle, states[-1]):
                 break
         return cls(number, np.array(states), distance, impact_speed)

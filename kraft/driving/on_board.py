@@ -86,9 +86,8 @@ class OnBoard:
         not for other manoeuvres.
         """
         held, vehicle, safety = reference.control_at(estimate.time), self._model.present_vehicle, self._safety
-        rest, states = list(vehicle.rest_indices), [np.asarray(estimate.state, dtype=float)]
-        controls = list[Floats]()
-        while np.any(np.abs(states[-1][rest]) > safety.rest_speed) and len(states) * safety.step <= safety.horizon:
+        states, controls = [np.asarray(estimate.state, dtype=float)], list[Floats]()
+        while not safety.is_resting(vehicle, states[-1]) and len(states) * safety.step <= safety.horizon:
             controls.append(braking_control(vehicle, states[-1], held))
             states.append(self._model.advance(states[-1], controls[-1], safety.step))
         times: Floats = estimate.time + safety.step * np.arange(len(states), dtype=float)

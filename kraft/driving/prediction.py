@@ -60,7 +60,7 @@ class ClosedLoopPredictor:
         controller = copy.deepcopy(self.controller)
         states, _, slack = self._drive(controller, contingency, start, during, contingency.end - 1e-9)
         worst = min(worst, slack)
-        if len(states) > ticks and not is_resting(self.dirt, states[-1]):
+        if len(states) > ticks and not self.dirt.safety.is_resting(self.dirt.vehicle, states[-1]):
             worst = -1.0
         least = least_slack(self.dirt, states)
         slack = min(worst, least) if worst < 0.0 else max(least, 0.0)
@@ -87,7 +87,7 @@ class ClosedLoopPredictor:
         for time, duration, since in zip(
             ticks.time.tolist(), ticks.duration.tolist(), ticks.since.tolist(), strict=True
         ):
-            if time >= until and is_resting(self.dirt, states[-1]):
+            if time >= until and self.dirt.safety.is_resting(self.dirt.vehicle, states[-1]):
                 break
             control = controller.command(Estimate(time, states[-1], 0.0), reference)
             trajectory, step_slack = self.dirt.edge(states[-1], control, duration, since)
@@ -107,8 +107,3 @@ def least_slack(dirt: DirtSolver, states: Matrix, since: float = math.inf) -> fl
     """Smallest clearance of states (n, nx) beyond the one that SAFETY asks for (m), a lower bound."""
     poses = poses_of(states, dirt.vehicle)
     return float((dirt.clearances(poses) - required_clearance(dirt, states, since)).min())
-
-
-def is_resting(dirt: DirtSolver, state: Floats) -> bool:
-    """Whether a state (nx,) is at standstill."""
-    return all(abs(state[k]) <= dirt.safety.rest_speed for k in dirt.vehicle.rest_indices)

@@ -19,7 +19,7 @@ from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.levels import Levels
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
-from kraft.driving.prediction import is_resting, least_slack
+from kraft.driving.prediction import least_slack
 from kraft.driving.rest import (  # fmt: skip
     CORRECTION_ATTEMPTS,
     RETAINED_TOLERANCE,
@@ -328,7 +328,8 @@ class Proposer:
         if self._settings.on_board == "contingency":  # `slack` is that of the first disc that lacks clearance
             slack = min(slack, least_slack(checking, root[None, :], 0.0))
         lacks = -safety.delta < slack < safety.delta_per_time * safety.delta_horizon
-        recovers = self._settings.recover and (was_recovering or is_resting(checking, root)) and lacks
+        may_leave = was_recovering or bool(safety.is_resting(checking.vehicle, root))
+        recovers = self._settings.recover and may_leave and lacks
         if recovers:
             checking.set_delta(max(0.0, safety.delta + min(slack, 0.0) - RECOVERY_MARGIN))
         return recovers

@@ -31,7 +31,7 @@ from kraft.driving.messages import (  # fmt: skip
     Uncertainty,
 )
 from kraft.driving.method import PlannerSettings
-from kraft.driving.prediction import ClosedLoopPredictor, is_resting, least_slack, required_clearance
+from kraft.driving.prediction import ClosedLoopPredictor, least_slack, required_clearance
 from kraft.driving.proposer import RECOVERY_MARGIN, Proposal, Proposer
 from kraft.driving.references import contingency_reference, holding_control, plan_reference
 from kraft.driving.rest import total_cost
@@ -279,6 +279,9 @@ class Replanner:
         tracked = current.reference_at(estimate.time)
         over = tracked.kind is ReferenceKind.CONTINGENCY and estimate.time >= tracked.end + SETTLED
         return self._switches and over and abs(float(estimate.state[self.dirt.vehicle.rest_indices[0]])) < NOISE
+    def _is_resting(self, state: Floats) -> bool:
+        return bool(self.dirt.safety.is_resting(self.dirt.vehicle, state))
+
 
     def _at_rest(self, state: Floats) -> Floats:
         state = state.copy()
@@ -291,7 +294,7 @@ class Replanner:
         The clearance for which the plan was made rests on an older estimate.
         """
         dirt, recovers = self.dirt, self._proposer.recovers
-        if self._switches and self._settings.recover and (recovers or is_resting(dirt, root)):
+        if self._switches and self._settings.recover and (recovers or self._is_resting(root)):
             slack = least_slack(dirt, root[None, :], 0.0)
             if slack < 0.0 or recovers:
                 dirt.set_delta(min(self._delta, max(0.0, dirt.safety.delta + slack - RECOVERY_MARGIN)))
@@ -306,7 +309,7 @@ class Replanner:
 
     def _with_room(self, root: Floats) -> Floats:
         """Predicted start of a cycle; that of a vehicle at rest has a little room, or as much as there is nearby."""
-        if not self._switches or not is_resting(self.dirt, root):
+        if not self._switches or not self._is_resting(root):
             return root
         best, most = root, self._free_by(root)
         for state in self._around(root, NEARBY):
@@ -379,7 +382,7 @@ class Replanner:
         Tracked contingencies have one ranking instead.
         """
         cycle_end = cycle_start + self._settings.cycle
-        if self._switches and is_resting(self.dirt, root):
+        if self._switches and self._is_resting(root):
             return self._stand(root, cycle_start, current, reason)
         tracked = current.reference_at(cycle_start)
         stored = tracked if tracked.kind is ReferenceKind.CONTINGENCY else self._contingency

@@ -197,8 +197,8 @@ def check(lane: int, start_time: float, problem: Problem, work: Lanes) -> float:
 
 
 @inlined
-def at_rest(work: Lanes, step: int, lane: int, problem: Problem) -> bool:
-    """Whether the vehicle is at standstill at a sample."""
+def is_resting(work: Lanes, step: int, lane: int, problem: Problem) -> bool:
+    """Whether the vehicle is at standstill at a sample, as `Safety.is_resting`."""
     resting = True
     for k in RESTING:
         resting = resting and (
@@ -223,7 +223,7 @@ def manoeuvre_slack(brake: Lanes, lane: int, steps: int, problem: Problem) -> fl
         if slack < 0.0:
             return slack
         smallest = min(smallest, slack)
-        if at_rest(brake, step, lane, problem):
+        if is_resting(brake, step, lane, problem):
             brake.steps[lane] = step
             return smallest
         before, c, s = after, c1, s1

@@ -41,7 +41,7 @@ WIDTH = LANE_WIDTH
 AT_STEP, AT_DEVIATION, AT_OUTSIDE, _, _, AT_STAGES, AT_INPUT = block_layout(NX)
 STAGE = NX * WIDTH
 
-at_rest = layout_module_of(VEHICLE, "checks").at_rest
+is_resting = layout_module_of(VEHICLE, "checks").is_resting
 derivative = VEHICLE.derivative
 actuation = VEHICLE.actuation or per_component("u, p", "u[{k}]", NU)
 stop = VEHICLE.stop or per_component("x, p, k", "0.0", NU)
@@ -169,7 +169,7 @@ def brake(source: Floats, problem: Problem, brake: Lanes) -> int:
         record_lanes(brake, step, manoeuvres)
         moving = False
         for i in range(manoeuvres):
-            moving = moving or not at_rest(brake, step, i, problem)
+            moving = moving or not is_resting(brake, step, i, problem)
     return step
 
 

@@ -295,12 +295,12 @@ def command(track: Track, at: Ints, law: Law, time: float, state: Floats, contro
 
 
 @part
-def has_settled(state: Floats, rest: Ints, rest_speed: float) -> bool:
-    """Whether every component of a state that vanishes at standstill is at most `rest_speed`."""
-    settled = True
+def is_resting(state: Floats, rest: Ints, rest_speed: float) -> bool:
+    """Whether a state is at standstill, as `Safety.is_resting`."""
+    resting = True
     for k in range(len(rest)):
-        settled = settled and abs(state[rest[k]]) <= rest_speed
-    return settled
+        resting = resting and abs(state[rest[k]]) <= rest_speed
+    return resting
 
 
 def _closed_loop(
@@ -324,7 +324,7 @@ def _closed_loop(
     nx, nu, slack = states.shape[1], controls.shape[1], math.inf
     for tick in range(len(ticks.time)):
         state = states[tick]
-        if ticks.time[tick] >= until and has_settled(state, rest, rest_speed):
+        if ticks.time[tick] >= until and is_resting(state, rest, rest_speed):
             return tick, slack
         command(track, at, law, ticks.time[tick], state, controls[tick])
         for k in range(nx):
