@@ -102,7 +102,7 @@ class EdgeChecker:
     def edge(
         self, state: Floats, control: Floats, duration: float, start_time: float = math.inf
     ) -> tuple[Matrix, float]:
-        """Trajectory (steps + 1, nx) of one edge and its spare clearance (m), negative if it may collide.
+        """Trajectory (steps + 1, nx) of one edge and its slack (m), negative if it may collide.
 
         The edge begins at `start_time` s; before the end of the cycle it must also keep delta(v).
         """
@@ -110,6 +110,10 @@ class EdgeChecker:
         work, nx = self._memory.work, len(self.vehicle.state)
         steps = int(work.steps[0])
         return work.trajectory.reshape(-1, nx, LANE_WIDTH)[: steps + 1, :, 0].copy(), slack
+
+    def slack(self, state: Floats) -> float:
+        """Clearance of a state (nx,) beyond delta(v) where the cycle begins (m), negative if it may collide."""
+        return self._propagate(np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), 0.0, 0.0)
 
     def set_delta(self, delta: float) -> None:
         """Set the clearance at rest within the first cycle and along contingencies (m), which does not grow with time.

@@ -15,14 +15,14 @@ from ompl_ext.kernels.kernel_types import Tree
 class Contingency:
     """Braking manoeuvre that is safe at the end of the plan's first cycle.
 
-    `times` (m,) count from the plan's start; `states` (m, nx) end at standstill.  `spare` is the smallest spare
-    clearance beyond delta(v) along it (m), a lower bound.
+    `times` (m,) count from the plan's start; `states` (m, nx) end at standstill.  `slack` is a lower bound
+    of the clearance minus delta(v) along it (m).
     """
 
     manoeuvre: str
     times: Floats
     states: Matrix
-    spare: float
+    slack: float
 
 
 @dataclass(frozen=True)

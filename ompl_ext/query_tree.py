@@ -96,7 +96,7 @@ class QueryTree(EdgeChecker):
         return self._progress
 
     def start(self, state: Floats, seed: int = 0) -> float:
-        """Begin a query at `state` (nx,), m, rad, m/s.  Returns its spare clearance (m), negative if it may collide.
+        """Begin a query at `state` (nx,), m, rad, m/s.  Returns its slack (m), negative if it may collide.
 
         A state without clearance becomes the root too, but no edge leaves it.
         """
@@ -110,7 +110,7 @@ class QueryTree(EdgeChecker):
         self._progress = Progress()
 
     def add_root(self, state: Floats) -> float:
-        """Add a start state; returns its spare clearance as `start` does.
+        """Add a start state; returns its slack as `start` does.
 
         One in the goal is a plan only if it has clearance, and a contingency like every end of a plan.
         """

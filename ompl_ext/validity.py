@@ -51,7 +51,7 @@ class SafetyValidityChecker(ob.StateValidityChecker):
     def safety(self, state: ob.State) -> Contingency | None:
         """SAFETY (Alg. 2): the first contingency manoeuvre that keeps delta(v) until standstill, or None.
 
-        The result has the manoeuvre's name, trajectory and smallest spare clearance beyond delta(v).
+        The result has the manoeuvre's name, trajectory and least slack.
         """
         return self.safety_from(self._array(state))
 

@@ -126,9 +126,9 @@ def _clearance_violations(
     asked = np.flatnonzero(required & (clearance.values < delta + SPREAD))
     if not len(asked):
         return []
-    spare = clearance.ask(asked) - delta[asked]
-    k = int(asked[np.argmin(spare)])
-    if spare.min() >= -TOLERANCE:
+    slack = clearance.ask(asked) - delta[asked]
+    k = int(asked[np.argmin(slack)])
+    if slack.min() >= -TOLERANCE:
         return []
     text = (
         f"{what}: {clearance.values[k]:.4f} m from an obstacle at t = {times[k]:.3f} s, delta requires {delta[k]:.4f} m"

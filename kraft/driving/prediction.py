@@ -56,7 +56,7 @@ class ClosedLoopPredictor:
         ticks = int(np.searchsorted(times, latest, side="right"))
         during = self._ticks(times[:ticks], np.full(ticks, self.period), np.zeros(ticks))
         start = np.asarray(state, dtype=float)
-        worst = self.dirt.edge(start, np.zeros(len(self.dirt.vehicle.controls)), 0.0, 0.0)[1]
+        worst = self.dirt.slack(start)
         controller = copy.deepcopy(self.controller)
         states, _, slack = self._drive(controller, contingency, start, during, contingency.end - 1e-9)
         worst = min(worst, slack)
@@ -76,7 +76,7 @@ class ClosedLoopPredictor:
     def _drive(
         self, controller: Controller, reference: Reference, state: Floats, ticks: Ticks, until: float = math.inf
     ) -> tuple[Matrix, Matrix, float]:
-        """Track a reference from `state` (nx,): states (n + 1, nx), controls (n, nu), and the least spare clearance.
+        """Track a reference from `state` (nx,): states (n + 1, nx), controls (n, nu), and the least slack (m).
 
         It ends early at standstill at or after `until` (s).
         """

@@ -11,8 +11,6 @@ import time as clock
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from kraft.driving.bound import DeviationBound
 from kraft.driving.command_loss import CommandLoss
 from kraft.driving.geodesic import geodesic_plan
@@ -117,7 +115,6 @@ class Proposer:
         self._settings, self._seed, self._realtime, self._keep_trees = settings, seed, realtime, keep_trees
         self._command_timeout = command_timeout
         self._use(solvers)
-        self._zero_control = np.zeros(len(self.dirt.vehicle.controls))
         self.recovers = False
         """whether the last proposal is for a vehicle that leaves a place with less clearance than required"""
         self._levels = Levels(solvers, settings)
@@ -276,7 +273,7 @@ class Proposer:
         if (
             rest is None
             or dirt.start(query.root, self._seed_of(query.number)) < 0.0
-            or self._slack(dirt, query.root) < 0.0
+            or dirt.slack(query.root) < 0.0
         ):
             return False
         if rest.edges is not None:
@@ -311,7 +308,7 @@ class Proposer:
         planning, checking = self._solvers.planning, self._solvers.checking
         checking.set_delta(self._delta)
         was_recovering, self.recovers = self.recovers, False
-        if planning is not checking and self._slack(planning, root) >= 0.0:
+        if planning is not checking and planning.slack(root) >= 0.0:
             yield planning, 0.5
         yield checking, 1.0  # returns at once if the root lacks clearance, which leaves all the time to the recovery
         self.recovers = self._begin_recovery(root, was_recovering)
@@ -324,7 +321,7 @@ class Proposer:
         It lacks clearance now, or once the bound has grown: then no plan could begin here either.
         """
         checking = self._solvers.checking
-        safety, slack = checking.safety, self._slack(checking, root)
+        safety, slack = checking.safety, checking.slack(root)
         if self._settings.on_board == "contingency":  # `slack` is that of the first disc that lacks clearance
             slack = min(slack, least_slack(checking, root[None, :], 0.0))
         lacks = -safety.delta < slack < safety.delta_per_time * safety.delta_horizon
@@ -333,10 +330,6 @@ class Proposer:
         if recovers:
             checking.set_delta(max(0.0, safety.delta + min(slack, 0.0) - RECOVERY_MARGIN))
         return recovers
-
-    def _slack(self, dirt: DirtSolver, root: Floats) -> float:
-        """Clearance of a state minus the required clearance, m."""
-        return dirt.edge(root, self._zero_control, 0.0, 0.0)[1]
 
     def _rest(self, previous: Plan | None) -> Rest | None:
         """Rest of the plan that is executed, as the settings retain it; None if it ends before the cycle does."""
@@ -376,7 +369,7 @@ class Proposer:
         root, rest = query.root, query.rest
         if dirt.start(root, self._seed_of(query.number)) < 0.0:
             return Proposal(None, "the predicted start of the cycle is in collision or too near to an obstacle")
-        if self._slack(dirt, root) < 0.0:
+        if dirt.slack(root) < 0.0:
             return Proposal(None, "the predicted start of the cycle lacks clearance")
         lost = PlanLoss.NONE
         if rest is not None:

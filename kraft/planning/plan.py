@@ -115,16 +115,16 @@ def plan_task(
     began = clock.perf_counter()
     workspace, safety, settings = workspace_of(task, vehicle), safety_of_task(task), settings_of(task, vehicle)
     dirt = DirtSolver(vehicle, workspace, goal_of(task), safety, settings, threads=threads)
-    spare = dirt.start(state, seed)
-    free = _distance(dirt, state) if spare < 0.0 and settings.excess == 0.0 else 0.0
+    slack = dirt.start(state, seed)
+    free = _distance(dirt, state) if slack < 0.0 and settings.excess == 0.0 else 0.0
     for excess in FINER:
-        if spare < 0.0 and free > excess * vehicle.footprint.width:  # free, but too near for few discs
+        if slack < 0.0 and free > excess * vehicle.footprint.width:  # free, but too near for few discs
             settings = replace(settings, excess=excess)
             dirt = DirtSolver(vehicle, workspace, goal_of(task), safety, settings, threads=threads)
-            spare = dirt.start(state, seed)
+            slack = dirt.start(state, seed)
     setup_seconds = clock.perf_counter() - began
     budget = budget or budget_of(task)
-    reason = _infeasible_start(dirt, state, spare)
+    reason = _infeasible_start(dirt, state, slack)
     found = SearchResult(None, dirt.progress) if reason else search(dirt, state, budget, seed, previous)
     began = clock.perf_counter()
     verification = verify(dirt, found.plan) if found.plan is not None else None
@@ -217,12 +217,12 @@ def _distance(dirt: DirtSolver, state: Floats) -> float:
     return dirt.exact.distance(*pose_of(state, dirt.vehicle))
 
 
-def _infeasible_start(dirt: DirtSolver, state: Floats, spare: float) -> str:
+def _infeasible_start(dirt: DirtSolver, state: Floats, slack: float) -> str:
     """Reason why no plan from this start exists, whatever the budget; empty if one may exist."""
     x, y, _ = pose_of(state, dirt.vehicle)
     if not reachable(dirt.problem, x, y):
         return UNREACHABLE
-    if spare < 0.0:
+    if slack < 0.0:
         return (
             f"the start is too near to an obstacle: {_distance(dirt, state):.4f} m, less than the discs that cover the "
             "footprint and the grid of clearances resolve"

@@ -189,7 +189,7 @@ def _contingency(plan: Plan) -> dict[str, Any] | None:
         return None
     return {
         "manoeuvre": stop.manoeuvre,
-        "spare": finite(stop.spare),
+        "spare": finite(stop.slack),
         "times": stop.times.tolist(),
         "states": stop.states.tolist(),
     }
@@ -357,8 +357,8 @@ class PlanFile(StrictModel):
         stop = self.contingency
         if stop is None:
             return None
-        spare = np.inf if stop.spare is None else stop.spare
-        return Contingency(stop.manoeuvre, np.array(stop.times), np.array(stop.states), spare)
+        slack = np.inf if stop.spare is None else stop.spare
+        return Contingency(stop.manoeuvre, np.array(stop.times), np.array(stop.states), slack)
 
 
 def _at(content: Mapping[str, object], path: tuple[str, ...]) -> object:

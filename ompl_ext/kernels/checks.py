@@ -176,7 +176,7 @@ def delta(work: Lanes, step: int, lane: int, time: float, problem: Problem) -> f
 
 
 def check(lane: int, start_time: float, problem: Problem, work: Lanes) -> float:
-    """Smallest spare clearance (m) along an edge, negative if it may collide; within the cycle beyond delta(v)."""
+    """Least slack (m) along an edge, negative if it may collide; within the cycle beyond delta(v)."""
     steps = work.steps[lane]
     h = work.duration[lane] / steps
     smallest, after = math.inf, 0.0  # `after` and `before` are the margins of the motions after and before a sample
@@ -209,7 +209,7 @@ def is_resting(work: Lanes, step: int, lane: int, problem: Problem) -> bool:
 
 @inlined
 def manoeuvre_slack(brake: Lanes, lane: int, steps: int, problem: Problem) -> float:
-    """Smallest spare delta-clearance of a manoeuvre until standstill, negative if it is not safe (Alg. 2, l. 4-6)."""
+    """Least slack (m) of a manoeuvre until standstill beyond delta, negative if it is not safe (Alg. 2, l. 4-6)."""
     smallest, before = math.inf, 0.0  # `before` and `after` are the margins of the motions before and after a sample
     c, s = heading_at(brake, int64(0), lane)
     for step in range(steps + 1):
@@ -233,7 +233,7 @@ def manoeuvre_slack(brake: Lanes, lane: int, steps: int, problem: Problem) -> fl
 def first_safe(steps: int, problem: Problem, brake: Lanes) -> int:
     """Number of the first contingency manoeuvre that is safe, -1 if there is none; `brake` has their trajectories.
 
-    Its lane has the spare clearance as slack.
+    Its lane has the slack.
     """
     for i in range(problem.option[MANOEUVRES]):
         brake.slack[i] = -1.0

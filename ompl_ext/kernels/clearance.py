@@ -331,15 +331,15 @@ def pose_slack(problem: Problem | Maps, x: float, y: float, c: float, s: float, 
         )
         px, py = x + ahead * c - aside * s, y + ahead * s + aside * c
         value = field[int((py - oy) * inverse), int((px - ox) * inverse)]
-        spare = value - radius - required
-        if spare < 0.0 and scalar[FINE_INVERSE] > 0.0:
-            spare = max(spare, fine_distance(problem, px, py) - radius - required)
+        of_disc = value - radius - required
+        if of_disc < 0.0 and scalar[FINE_INVERSE] > 0.0:
+            of_disc = max(of_disc, fine_distance(problem, px, py) - radius - required)
         k += 1
         if members > 0.0:
-            if spare < 0.0:
+            if of_disc < 0.0:
                 continue
             k += int(members)
-        slack = min(slack, spare)
+        slack = min(slack, of_disc)
         if slack < 0.0:
             return slack
     return slack

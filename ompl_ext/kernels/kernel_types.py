@@ -121,7 +121,7 @@ class Lanes(NamedTuple):
     end: Floats  # (Q_DIM * width,) configuration at the end of each lane
     togo: Floats  # cost-to-go from there (s)
     at_goal: Ints
-    slack: Floats  # spare clearance (m), negative if the edge may collide
+    slack: Floats  # clearance beyond the required one (m), negative if the edge may collide
     source: Floats  # (nx,) a state to start from
 
 

@@ -26,10 +26,10 @@ LOAD = 2.0  # slots of the hash table over cells
 HASH, SHIFT = int64(-7046029254386353131), 20  # odd multiplier (Fibonacci hashing), low bits that are not used
 OFFSET = 2**19  # of rows and columns, so that they are positive
 CELL = 0.018  # side of a cell as a share of the footprint's width
-SPARE, COMFORT = 0.02, 0.1  # clearance required and wanted of the poses, as shares of the footprint's width
+REQUIRED, COMFORT = 0.02, 0.1  # clearance required and wanted of the poses, as shares of the footprint's width
 NARROW = 2.0  # factor of the time of motions to poses with less clearance than wanted
 LONG_STRIDE = 2.4  # cells of a motion
-LEVELS = ((1.0, 1.0), (0.7, 1.0), (0.5, 1.0), (0.35, 0.5))  # factors of CELL and SPARE that are tried in turn
+LEVELS = ((1.0, 1.0), (0.7, 1.0), (0.5, 1.0), (0.35, 0.5))  # factors of CELL and REQUIRED that are tried in turn
 
 
 class NearPoses(NamedTuple):
@@ -71,7 +71,7 @@ def near_poses(maps: Maps, region: Floats, twists: Matrix, reversal: float, widt
     """
     goal_volume = 2.0 * math.pi * region[3] ** 2 * region[4] * maps.scalar[REACH]
     least = (GOAL_SHARE * goal_volume / CELLS) ** (1.0 / 3.0)
-    for finer, spare in LEVELS:
+    for finer, ease in LEVELS:
         cell = finer * max(CELL * width, least)
         bins = math.ceil(2.0 * math.pi * maps.scalar[REACH] / cell)
         motions = motions_of(twists, cell, bins, LONG_STRIDE)
@@ -85,7 +85,9 @@ def near_poses(maps: Maps, region: Floats, twists: Matrix, reversal: float, widt
             link=np.full((slots, 2), -1, np.int32),
             after=np.full((slots, 2), -1, np.int32),
             buckets=np.full(math.ceil((NARROW * motions[:, 3].max() + reversal) / shortest) + 2, -1, np.int32),
-            frame=np.array([region[0], region[1], 1.0 / cell, bins, region[2], spare * SPARE * width, COMFORT * width]),
+            frame=np.array(
+                [region[0], region[1], 1.0 / cell, bins, region[2], ease * REQUIRED * width, COMFORT * width]
+            ),
             result=np.zeros(3),
         )
         _search(table, shortest, motions, reversal, region, maps, most)

@@ -43,7 +43,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
 from ompl_ext.kernels.nearpose import (  # fmt: skip
     COMFORT,
     NARROW,
-    SPARE,
+    REQUIRED,
     UNKNOWN,
     NearPoses,
     link_cell,
@@ -112,7 +112,7 @@ def pose_cost_to_go(
     count = headings * rows * columns
     allowance = ALLOWED * (cell + 2.0 * math.pi / headings * maps.scalar[REACH])
     frame = np.array([*origin, 1.0 / cell, rows, columns, headings, goal[2], allowance, 0.0, 0.0, 0.0])
-    frame[8:10] = SPARE * footprint_width, COMFORT * footprint_width
+    frame[8:10] = REQUIRED * footprint_width, COMFORT * footprint_width
     region = np.array([*goal, goal_radius, goal_tolerance])
     close = region * (1.0, 1.0, 1.0, INSIDE, INSIDE)
     attempts: list[tuple[NearPoses | None, float]] = [(None, EASE), (None, 1.0)]

@@ -57,7 +57,7 @@ def propagate_to_goal(source: Floats, lanes: int, problem: Problem, work: Lanes)
 
 @inlined
 def check(lane: int, start_time: float, problem: Problem, work: Lanes) -> float:
-    """Smallest spare clearance (m) along an edge, negative if it may collide; within the cycle beyond delta(v)."""
+    """Least slack (m) along an edge, negative if it may collide; within the cycle beyond delta(v)."""
     if work.slack[lane] < 0.0:
         return -1.0
     slack: float = call_check(problem.functions[at.CHECK], (lane, start_time, problem, work))
@@ -68,7 +68,7 @@ def check(lane: int, start_time: float, problem: Problem, work: Lanes) -> float:
 def brake_from(source: Floats, problem: Problem, brake: Lanes) -> int:
     """SAFETY (Alg. 2): number of the first contingency manoeuvre that is safe from `source`, -1 if there is none.
 
-    Afterwards `brake` has the manoeuvres' trajectories and, in its lane's slack, the spare clearance of the safe one.
+    Afterwards `brake` has the manoeuvres' trajectories and, in its lane, the slack of the safe one.
     """
     steps = call_brake(problem.functions[at.BRAKE], (source, problem, brake))
     number: int = call_first_safe(problem.functions[at.FIRST_SAFE], (steps, problem, brake))

@@ -318,8 +318,8 @@ def _closed_loop(
 ) -> tuple[int, float]:
     """Drive from `states[0]` with the model and write states (n + 1, nx) and controls (n, nu) of the ticks.
 
-    It ends early at standstill at or after `until` (s).  Returns the number of ticks and the smallest spare clearance
-    (m), infinite without one.
+    It ends early at standstill at or after `until` (s).  Returns the number of ticks and the least slack (m),
+    infinite without one.
     """
     nx, nu, slack = states.shape[1], controls.shape[1], math.inf
     for tick in range(len(ticks.time)):

@@ -15,7 +15,7 @@ from ompl_ext.vehicle import Vehicle
 ROOM = Workspace(((0.0, 4.0), (0.0, 4.0)), (box((3.0, 2.0), (1.0, 4.0)),))  # a wall from x = 2.5 m on
 STATE = np.array([1.9, 2.0, 0.0, 0.0, 0.0])  # the rover at rest before the wall
 REST = np.zeros(2)
-SPARE = 0.05  # of its clearance beyond delta at the begin, m
+SLACK = 0.05  # of its clearance beyond delta at the begin, m
 
 
 def solver(safety: Safety, vehicle: Vehicle = ROVER) -> DirtSolver:
@@ -23,10 +23,10 @@ def solver(safety: Safety, vehicle: Vehicle = ROVER) -> DirtSolver:
 
 
 def tight(horizon: float, cycle: float = 5.0) -> DirtSolver:
-    """Solver whose delta leaves `SPARE` at first, and half a second later nothing."""
+    """Solver whose delta leaves `SLACK` at first, and half a second later nothing."""
     clearance = solver(NO_SAFETY).edge(STATE, REST, 0.0)[1]
     assert clearance > 0.2
-    return solver(Safety(True, cycle, clearance - SPARE, delta_per_time=2 * SPARE, delta_horizon=horizon))
+    return solver(Safety(True, cycle, clearance - SLACK, delta_per_time=2 * SLACK, delta_horizon=horizon))
 
 
 def test_clearance_is_the_sum_of_its_parts() -> None:
@@ -45,12 +45,12 @@ def test_another_clearance_is_kept_after_the_near_time() -> None:
 
 def test_an_edge_keeps_one_clearance_until_the_near_time_and_another_one_after_it() -> None:
     clearance = solver(NO_SAFETY).edge(STATE, REST, 0.0)[1]
-    dirt = solver(Safety(True, 5.0, clearance - SPARE))
-    dirt.set_far(0.5, clearance + SPARE, 0.0)
-    assert dirt.edge(STATE, REST, 0.5, 0.0)[1] == pytest.approx(SPARE)
+    dirt = solver(Safety(True, 5.0, clearance - SLACK))
+    dirt.set_far(0.5, clearance + SLACK, 0.0)
+    assert dirt.edge(STATE, REST, 0.5, 0.0)[1] == pytest.approx(SLACK)
     assert dirt.edge(STATE, REST, 0.6, 0.0)[1] < 0.0
-    dirt.set_far(0.5, clearance - 2 * SPARE, 1.0)
-    assert dirt.edge(STATE, REST, 0.3, 0.6)[1] == pytest.approx(2 * SPARE)
+    dirt.set_far(0.5, clearance - 2 * SLACK, 1.0)
+    assert dirt.edge(STATE, REST, 0.3, 0.6)[1] == pytest.approx(2 * SLACK)
 
 
 @pytest.mark.parametrize("near", [-0.1, float("nan")])
@@ -68,15 +68,15 @@ def test_a_growth_that_is_no_number_is_refused(name: str, value: float) -> None:
 
 def test_a_clearance_between_delta_at_the_begin_and_later_suffices_at_the_begin_only() -> None:
     dirt = tight(horizon=2.0)
-    assert dirt.edge(STATE, REST, 0.0, 0.0)[1] == pytest.approx(SPARE)
-    assert dirt.edge(STATE, REST, 0.4, 0.0)[1] == pytest.approx(0.2 * SPARE)
+    assert dirt.edge(STATE, REST, 0.0, 0.0)[1] == pytest.approx(SLACK)
+    assert dirt.edge(STATE, REST, 0.4, 0.0)[1] == pytest.approx(0.2 * SLACK)
     assert dirt.edge(STATE, REST, 0.0, 0.6)[1] < 0.0
     assert dirt.edge(STATE, REST, 0.6, 0.0)[1] < 0.0
     assert dirt.edge(STATE, REST, 0.5, 5.5)[1] > 0.2  # after the cycle it needs none
 
 
 def test_the_clearance_grows_no_further_than_until_the_horizon() -> None:
-    assert tight(horizon=0.3).edge(STATE, REST, 1.0, 3.0)[1] == pytest.approx(0.4 * SPARE)
+    assert tight(horizon=0.3).edge(STATE, REST, 1.0, 3.0)[1] == pytest.approx(0.4 * SLACK)
 
 
 @pytest.mark.parametrize(("cycle", "is_safe"), [(0.0, True), (0.4, True), (1.0, False)])
@@ -92,7 +92,7 @@ def test_the_clearance_grows_along_a_contingency() -> None:
         for growth in (0.0, 0.1)
     )
     assert constant is not None
-    assert 0.0 < constant.spare < 0.1
+    assert 0.0 < constant.slack < 0.1
     assert growing is None
 
 

@@ -38,7 +38,7 @@ def roll_out(manoeuvre: str, state: Array, safety: Safety) -> Array | None:
     return np.array(states) if abs(states[-1][3]) <= safety.rest_speed else None
 
 
-def spare(exact: ExactClearance, states: Array, safety: Safety) -> float:
+def slack(exact: ExactClearance, states: Array, safety: Safety) -> float:
     """Clearance beyond delta(v) at every moment of a braking trajectory."""
     poses, speeds = exact.distances(states[:, :3]), np.abs(states[:, 3])
     return float((poses - safety.delta - safety.delta_per_speed * speeds).min())
@@ -91,10 +91,10 @@ def test_the_manoeuvre_it_returns_keeps_delta_until_standstill(seed: int) -> Non
         assert np.abs(rolled - contingency.states).max() < 1e-9
         assert abs(contingency.states[-1, 3]) <= SAFETY.rest_speed
         assert (np.abs(contingency.states[:-1, 3]) > SAFETY.rest_speed).all()
-        assert 0.0 <= contingency.spare <= spare(exact, rolled, SAFETY) + 1e-5
+        assert 0.0 <= contingency.slack <= slack(exact, rolled, SAFETY) + 1e-5
         steering = np.array([0.0, STEERING[contingency.manoeuvre]])
         fine = [integrate(benchmark_rate(), s, steering, SAFETY.step, 3)[:-1] for s in rolled[:-1]]
-        assert spare(exact, np.vstack([*fine, rolled[-1:]]), SAFETY) > -1e-5
+        assert slack(exact, np.vstack([*fine, rolled[-1:]]), SAFETY) > -1e-5
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -113,7 +113,7 @@ def test_a_manoeuvre_with_five_centimetres_to_spare_is_never_refused_and_the_fir
             if inside(rolled, dirt.workspace):
                 beyond_rest = 0.02  # a manoeuvre that stands may creep on while others still move
                 inner = Workspace(tuple((a + beyond_rest, b - beyond_rest) for a, b in dirt.workspace.bounds))
-                assert spare(exact, rolled, SAFETY) <= 0.05 or not inside(rolled, inner)
+                assert slack(exact, rolled, SAFETY) <= 0.05 or not inside(rolled, inner)
 
 
 def test_a_later_manoeuvre_is_taken_where_the_earlier_ones_hit_something() -> None:
@@ -202,9 +202,9 @@ def test_the_contingency_of_a_plan_begins_where_the_cycle_ends(seed: int) -> Non
     into = 1.3 - np.cumsum(plan.durations)[k] + plan.durations[k]
     begins = integrate(benchmark_rate(), plan.states[k], plan.controls[k], into, 200)[-1]
     assert np.abs(plan.contingency.states[0] - begins).max() < 1e-4
-    assert spare(exact, plan.contingency.states, safety) > -1e-5
+    assert slack(exact, plan.contingency.states, safety) > -1e-5
     during = plan.times <= 1.3
-    assert spare(exact, plan.trajectory[during], safety) > -1e-5
+    assert slack(exact, plan.trajectory[during], safety) > -1e-5
 
 
 def test_without_safety_a_plan_may_end_its_cycle_where_it_cannot_stop() -> None:

@@ -249,7 +249,7 @@ def test_safety_names_the_manoeuvre_or_says_that_there_is_none() -> None:
         answers.append(checker.safety(state))
     assert answers[0] is not None
     assert answers[0].manoeuvre == "straight"
-    assert answers[0].spare >= 0.0
+    assert answers[0].slack >= 0.0
     assert answers[1] is None
     assert checker.delta(state) == pytest.approx(0.05 + 0.25 * 0.6)
 

@@ -61,7 +61,7 @@ def contingency(setup: SimpleSetup) -> Answer:
 
     def answer(state: ob.State) -> object:
         found = checker.safety(state)
-        return found and (found.manoeuvre, found.spare, found.states.tobytes())
+        return found and (found.manoeuvre, found.slack, found.states.tobytes())
 
     return answer
 

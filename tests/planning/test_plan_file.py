@@ -55,7 +55,7 @@ def test_what_is_written_is_read_back_to_the_last_bit(
     assert plan.contingency is not None
     assert read.contingency is not None
     assert read.contingency.manoeuvre == plan.contingency.manoeuvre
-    assert read.contingency.spare == plan.contingency.spare
+    assert read.contingency.slack == plan.contingency.slack
     assert np.array_equal(read.contingency.states, plan.contingency.states)
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["plan.json"]
 

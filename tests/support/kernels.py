@@ -172,7 +172,7 @@ def check_plan(dirt: DirtSolver, plan: Plan) -> None:
         assert plan.cost_to_go == 0.0
     if dirt.safety.enabled:
         assert plan.contingency is not None
-        assert plan.contingency.spare >= 0.0
+        assert plan.contingency.slack >= 0.0
 
 
 def point_to_segment(p: Sequence[float], a: Sequence[float], b: Sequence[float]) -> float:

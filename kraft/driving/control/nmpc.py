@@ -173,9 +173,9 @@ class NmpcController:
         dx, dy = (right - left) / (2.0 * cell), (above - below) / (2.0 * cell)
         slope = np.maximum(np.hypot(dx, dy), 1e-6)
         required = radius + self._settings.margin + float(problem.scalar[at.DELTA])
-        spare = np.minimum(here, FAR) - required
+        slack = np.minimum(here, FAR) - required
         nx, ny = dx / slope, dy / slope
-        return np.stack([nx, ny, nx * x + ny * y - spare], axis=2)
+        return np.stack([nx, ny, nx * x + ny * y - slack], axis=2)
 
 
 class _Problem:

@@ -234,7 +234,7 @@ class KinodynamicController:
         """Track a reference from `state` (nx,) with the model of `checker`, one command a tick.
 
         It ends early at standstill at or after `until` (s).  Returns the states (n + 1, nx), the controls (n, nu), and
-        the smallest spare clearance (m), infinite without a tick.
+        the least slack (m), infinite without a tick.
         """
         tracker, vehicle, count = self._tracker, checker.vehicle, len(ticks.time)
         states, controls = np.empty((count + 1, len(state))), np.empty((count, self._size))
