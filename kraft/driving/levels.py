@@ -107,11 +107,6 @@ class Levels:
         self._least, self._waited, self._pause = math.inf, 0, 0
 
     @property
-    def share(self) -> float:
-        """Share of the bound at the level that the last plan keeps."""
-        return self.all[self.kept].share
-
-    @property
     def tries_higher(self) -> bool:
         """Whether it is time to try a higher level."""
         return self.kept > 0 and self._steady >= STEADY

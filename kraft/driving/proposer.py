@@ -55,7 +55,7 @@ LOSS_CANDIDATES = 20  # plans of a tree that are examined for room for a loss of
 class Proposal:
     """Plan for the next cycle, not yet committed, or the reason why there is none; and the effort of the search.
 
-    `kept` is the share of the bound that the plan keeps.  `lost` is why the rest of the plan that is being executed was
+    `lost` is why the rest of the plan that is being executed was
     not retained.  `switch_refused` is whether a better plan that goes another way was found, but does not save enough.
     """
 
@@ -69,7 +69,6 @@ class Proposal:
     lost: PlanLoss = PlanLoss.NONE
     switch_refused: bool = False
     tree: TreeView | None = None
-    kept: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -213,7 +212,7 @@ class Proposer:
             gain = RISE if chosen < kept else self._gain(proposal, query)
             refused = proposal.plan is not None
             if proposal.plan is None or _is_better(found, proposal, gain):
-                proposal, chosen, refused = replace(found, kept=levels.all[number].share), number, False
+                proposal, chosen, refused = found, number, False
                 self._grown = self._grown_of(dirt, found.plan)
             if _leads_to_goal(proposal) and not (waiting and self._is_compared(number, waiting[0], found, query)):
                 break
@@ -296,7 +295,7 @@ class Proposer:
         if plan is not None:
             levels.note_progress(plan.cost, rises=False)
         reason = "" if plan is not None else "no path leads to the goal from the predicted start of the cycle"
-        return Proposal(plan, reason, kept=levels.share)
+        return Proposal(plan, reason)
 
     def set_bound(self, bound: DeviationBound) -> None:
         """Set the bound of the deviation; the share that the last plan kept is asked for until the next proposal."""

@@ -8,7 +8,7 @@ from statistics import NormalDist
 
 import numpy as np
 import pytest
-from support.replanner import mushr, proposals, replanner, start
+from support.replanner import mushr, proposals, replanner, share_kept, start
 
 from kraft.driving.bound import UNCORRECTED, BoundCalibration, DeviationBound, radius_quantiles, turning_error
 from kraft.driving.levels import HYSTERESIS, STEADY
@@ -210,19 +210,19 @@ def test_the_first_plan_has_a_budget_of_its_own() -> None:
 def proposed(*bounds: DeviationBound) -> tuple[Replanner, list[Proposal]]:
     """Proposals with a bound each, of a replanner that may keep shares of it."""
     subject = replanner(bound=SHARES, iterations=600)
-    return subject, proposals(subject, *bounds)
+    return subject, list(proposals(subject, *bounds))
 
 
 def test_a_bound_that_leaves_a_way_is_kept_wholly() -> None:
     subject, (found,) = proposed(WIDE)
-    assert found.kept == 1.0
+    assert share_kept(subject._proposer) == 1.0
     assert found.plan is not None
     assert subject.dirt.exact.distances(found.plan.trajectory[:, :3]).min() >= WIDE.delta - 1e-9
 
 
 def test_a_bound_that_leaves_no_way_is_kept_in_the_first_share_that_does() -> None:
     subject, (found,) = proposed(NARROW)
-    assert found.kept == 0.25
+    assert share_kept(subject._proposer) == 0.25
     assert found.plan is not None
     assert found.plan.reaches_goal
     assert subject.dirt.exact.distances(found.plan.trajectory[:, :3]).min() >= 0.25 * NARROW.delta - 1e-9
@@ -234,8 +234,8 @@ def test_a_plan_is_checked_again_with_a_part_of_the_share_that_it_keeps() -> Non
 
 
 def test_the_share_goes_back_up_when_the_bound_leaves_a_way_again_but_not_at_once() -> None:
-    _, found = proposed(NARROW, *[WIDE] * (STEADY * 4))
-    kept = [proposal.kept for proposal in found]
+    subject = replanner(bound=SHARES, iterations=600)
+    kept = [share_kept(subject._proposer) for _ in proposals(subject, NARROW, *[WIDE] * (STEADY * 4))]
     assert kept[1] == 0.25
     assert kept[-1] == 1.0
     assert kept == sorted(kept)
@@ -261,7 +261,7 @@ def test_the_recorded_delta_is_the_full_bound_also_where_the_plan_keeps_a_share(
         current, time = cycles[-1].commitment, subject.next_step
         predicted = cycles[-1].predicted
         state = np.array([np.interp(time, predicted.times, column) for column in predicted.states.T])
-    assert subject._proposal.kept < 1.0
+    assert share_kept(subject._proposer) < 1.0
     bound, last = subject._bound, cycles[-1]
     assert bound is not None
     assert last.predicted.delta is not None

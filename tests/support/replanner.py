@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import cache
 
 import numpy as np
@@ -12,7 +13,7 @@ from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Kinodynamic, OpenLoop
 from kraft.driving.messages import Cycle, Estimate, Uncertainty
 from kraft.driving.method import Clearance, PlannerSettings
-from kraft.driving.proposer import Proposal
+from kraft.driving.proposer import Proposal, Proposer
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import CarModel
@@ -61,16 +62,22 @@ def start() -> Floats:
     return start_state(turns(), mushr())
 
 
-def proposals(subject: Replanner, *bounds: DeviationBound) -> list[Proposal]:
+def proposals(subject: Replanner, *bounds: DeviationBound) -> Iterator[Proposal]:
     """Proposals with a bound each, from the start of Turns and then from where each plan leads in a cycle."""
-    root, found = start(), list[Proposal]()
+    root, plan = start(), None
     for number, bound in enumerate(bounds):
         subject._proposer.set_bound(bound)
-        found.append(subject._proposer.propose(number, root, found[-1].plan if found else None))
-        plan = found[-1].plan
+        proposal = subject._proposer.propose(number, root, plan)
+        yield proposal
+        plan = proposal.plan
         assert plan is not None
         root = np.array([np.interp(1.0, plan.times, column) for column in plan.trajectory.T])
-    return found
+
+
+def share_kept(subject: Proposer) -> float:
+    """Share of the bound that the last plan keeps."""
+    levels = subject._levels
+    return levels.all[levels.kept].share
 
 
 def drive(
