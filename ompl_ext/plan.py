@@ -44,6 +44,11 @@ class Plan:
     reaches_goal: bool
     contingency: Contingency | None
 
+    @property
+    def total_cost(self) -> float:
+        """Cost of the plan and cost-to-go from its end, s."""
+        return self.cost + self.cost_to_go
+
     def head(self, until: float) -> Plan:
         """The plan up to the end of the edge that is held at `until` s, with the cost of the whole one."""
         ends = np.cumsum(self.durations)

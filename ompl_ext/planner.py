@@ -84,7 +84,7 @@ class DIRT(ob.Planner):
         return self._params
 
     def retain(self, path: oc.PathControl, elapsed: float = 0.0) -> None:
-        """Begin the next query with the rest of `path` after `elapsed` s, propagated from the new start."""
+        """Begin the next query with the remainder of `path` after `elapsed` s, propagated from the new start."""
         layout = ControlLayout(self.getSpaceInformation().getControlSpace())
         controls = np.array([layout.read(path.getControl(k)) for k in range(path.getControlCount())])
         self._retained = _Retained(*remaining_edges(controls, np.array(path.getControlDurations()), elapsed))

@@ -124,7 +124,7 @@ class QueryTree(EdgeChecker):
         return slack
 
     def retain(self, plan: Plan, elapsed: float = 0.0) -> int:
-        """Add the rest of an earlier plan after `elapsed` s, propagated from the new root; returns the edges added.
+        """Add the remainder of an earlier plan after `elapsed` s, from the new root; returns the number of edges added.
 
         The edge in progress is kept in part.  An edge that collides or is not safe is omitted, with all after it.
         """
@@ -151,7 +151,7 @@ class QueryTree(EdgeChecker):
         return self._trees[0].retained.node
 
     def retainable_edges(self, plan: Plan, elapsed: float, limit: int) -> RetainableEdges:
-        """Rest of a plan of this query after `elapsed` s, and up to `limit` edges of the tree that begin on it."""
+        """Remainder of a plan of this query after `elapsed` s, and up to `limit` edges of the tree that begin on it."""
         states, vehicle = plan.states[1:], self.vehicle
         x, y = states[:, vehicle.index("x")], states[:, vehicle.index("y")]
         heading = states[:, vehicle.index("theta")] if "theta" in vehicle.state else np.zeros(len(states))

@@ -15,31 +15,31 @@ from ompl_ext.plan import Plan
 
 @dataclass(frozen=True)
 class RetainableEdges:
-    """Edges that a query may retain, parents before children; the first `rest` are those of the rest of a plan.
+    """Edges that a query may retain, parents before children; the first `remaining` are the remainder of a plan.
 
     `parents` (n,) are indices of edges, -1 for the root; `controls` (n, nu) are held for `durations` (n,) s.
-    `targets` (rest, Q_DIM) are the configurations in which the rest of the plan was to end its edges.
+    `targets` (remaining, Q_DIM) are the configurations in which the plan was to end those.
     """
 
     parents: Ints
     controls: Matrix
     durations: Floats
     targets: Matrix
-    rest: int
+    remaining: int
 
 
 def retainable_edges(tree: Tree, plan: Plan, targets: Matrix, elapsed: float, limit: int) -> RetainableEdges:
-    """Rest of a plan after `elapsed` s, and the most promising edges of its tree that begin on it.
+    """Remainder of a plan after `elapsed` s, and the most promising edges of its tree that begin on it.
 
     Args:
         tree: the tree that the plan was found in; parts of the plan that it no longer has are retained too.
-        plan: plan of which the rest is executed.
+        plan: plan of which the remainder is executed.
         targets: configurations (edges, Q_DIM) at the ends of the plan's edges.
         elapsed: time after the plan's start at which the query begins, s.
-        limit: largest number of edges beyond the rest of the plan; the ones with the lowest f are chosen.
+        limit: largest number of edges beyond the remainder of the plan; the ones with the lowest f are chosen.
     """
     parents, controls, durations = remaining_edges(plan.controls, plan.durations, elapsed)
-    rest, first = len(durations), len(plan.durations) - len(durations)
+    remaining, first = len(durations), len(plan.durations) - len(durations)
     path = _nodes_of(tree, plan)
     size = int(tree.count[at.SIZE])
     on_path = np.full(size, -2)  # index of the edge to a node, -2 for nodes that are not retained
@@ -50,13 +50,13 @@ def retainable_edges(tree: Tree, plan: Plan, targets: Matrix, elapsed: float, li
         on_path[node] = k
     chosen = _most_promising(tree, on_path > -2, limit)
     index = on_path
-    index[chosen] = rest + np.arange(len(chosen))
+    index[chosen] = remaining + np.arange(len(chosen))
     return RetainableEdges(
         parents=np.concatenate([np.array(parents, np.int64), index[tree.link[chosen, at.PARENT]]]),
         controls=np.vstack([controls, tree.edge[chosen, :-1]]),
         durations=np.concatenate([durations, tree.edge[chosen, -1]]),
         targets=targets[first:],
-        rest=rest,
+        remaining=remaining,
     )
 
 

@@ -122,7 +122,7 @@ class DirtSolver(QueryTree):
         self._polished, self._polish_due = _Polished(), self._first_polish()
 
     def retain(self, plan: Plan, elapsed: float = 0.0, *, optimised: bool = False) -> int:
-        """Add the rest of an earlier plan, as `QueryTree.retain`.
+        """Add the remainder of an earlier plan, as `QueryTree.retain`.
 
         A plan that was `optimised` is optimised again only after the search has improved it.
         """

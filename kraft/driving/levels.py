@@ -18,7 +18,7 @@ from ompl_ext.solver import DirtSolver
 NEAR: Final = 1.5
 """Time after a commit for which plans keep the bound as it is now, s."""
 HYSTERESIS: Final = 0.8
-"""Share of the clearance of a wide level that suffices for the rest of a plan made for this level."""
+"""Share of the clearance of a wide level that suffices for the remainder of a plan made for this level."""
 PAUSE: Final = 3
 """Number of cycles for which plans are not compared after one that keeps less was refused."""
 STEADY: Final = 2
@@ -50,7 +50,7 @@ class Level:
     def kept_of(self, bound: DeviationBound, part: float) -> DeviationBound:
         """`part` of what this level keeps of a bound, without the margin: a share of it at rest, and all for the speed.
 
-        A place may be too narrow for the bound at rest; for the rest of the bound the vehicle only has to drive slowly.
+        A place may be too narrow for the bound at rest; for the part for the speed it is enough to drive slowly.
         Where it is so narrow that hardly a speed is left, the share is also that of what remains for the speed when
         the delay is known: then only a delay that is not known yet makes the vehicle slow.
         """
@@ -138,11 +138,11 @@ class Levels:
             self._least, self._waited = cost, 0
 
     def set(self, number: int, eased: bool) -> DirtSolver:
-        """Ask for the clearance of a level, `eased` for the rest of a plan that keeps it; returns its solver.
+        """Ask for the clearance of a level, `eased` for the remainder of a plan that keeps it; returns its solver.
 
         At a narrow level the clearance is a few centimetres, and a fifth of it is less than what estimates change by in
-        a cycle.  The rest of a plan would be lost in each, so what suffices for it is what suffices when it is checked
-        again.
+        a cycle.  The remainder of a plan would be lost in each, so what suffices for it is what suffices when it is
+        checked again.
         """
         level, part = self.all[number], 1.0
         if eased:

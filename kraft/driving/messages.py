@@ -93,7 +93,7 @@ class ContingencyOrigin(StrEnum):
 
 
 class PlanLoss(StrEnum):
-    """Reason for which the rest of a plan was not retained."""
+    """Reason for which the remainder of a plan was not retained."""
 
     NONE = "none"
     """it was retained"""
@@ -221,10 +221,10 @@ class Cycle:
     `time` is the start of the cycle (s), from which on the controller tracks `reference`.  `cost_to_goal` is the
     predicted time to the goal (s): that of the committed plan, plus the cost-to-go from its end if the plan does not
     reach the goal; without a plan it is infinite.  `predicted` is the predicted motion within the cycle and `clearance`
-    its smallest distance to an obstacle (m).  `lost` is why the rest of the last plan was not retained when this plan
-    was made, `switch_refused` whether a better plan that goes another way was refused.  `contingency_origin` is None if
-    a plan is committed.  `planning_ms` is measured; all other fields are reproducible.  `tree` is None unless trees are
-    kept.
+    its smallest distance to an obstacle (m).  `lost` is why the remainder of the last plan was not retained when this
+    plan was made, `switch_refused` whether a better plan that goes another way was refused.  `contingency_origin` is
+    None if a plan is committed.  `planning_ms` is measured; all other fields are reproducible.  `tree` is None unless
+    trees are kept.
 
     `parameters` (np,) are those of the vehicle if they are estimated.  `commitment` is the message to the car,
     `delivered` whether it arrives.  `stopping` is the predicted motion of the contingency on board until standstill;

@@ -112,7 +112,7 @@ class PlannerSettings(StrictModel):
     first_max_iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] | None = None
     """largest budget of the first plan, used while it is not settled; twice `first_iterations` if left out"""
     retain: Literal["plan", "tree"] = "plan"
-    """what a cycle retains of the last one: the rest of the committed `plan`, or that corrected, with its `tree`"""
+    """what a cycle retains of the last one: the remainder of its `plan`, or that corrected, with its `tree`"""
     switch_gain: NonNegative = 0.0
     """cost that a plan which goes another way than the last one must save, s"""
     cost_to_go: Literal["position", "pose"] = "position"
@@ -132,7 +132,7 @@ class PlannerSettings(StrictModel):
     recover: bool = False
     """a vehicle that rests nearer to an obstacle than `safety` allows may leave with the clearance that it has"""
     on_board: Literal["plan", "contingency"] = "plan"
-    """what the car has on board beyond a cycle: the rest of the plan, or the contingency, tracked from its end on"""
+    """what the car has on board beyond a cycle: the remainder of the plan, or the contingency, tracked from then on"""
     contingency: bool = True
     """whether there are contingencies; without, safety, bound, recover, on_board, contingencies, watchdog do nothing"""
     blocked: Seconds | None = None

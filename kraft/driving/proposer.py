@@ -18,19 +18,18 @@ from kraft.driving.levels import Levels
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
 from kraft.driving.prediction import least_slack
-from kraft.driving.rest import (  # fmt: skip
+from kraft.driving.remainder import (  # fmt: skip
     CORRECTION_ATTEMPTS,
     RETAINED_TOLERANCE,
-    Rest,
-    goes_same_way,
-    has_rest,
+    Remainder,
+    has_remainder,
     retain,
     retained_plan,
     start_with_best_corrections,
-    total_cost,
 )
 from kraft.driving.search_budget import LEVEL_TIME, SearchBudget
 from kraft.driving.solvers import Solvers, goal_region
+from kraft.driving.ways import goes_same_way
 from kraft.errors import Defect
 from kraft.text import counted, listed
 from ompl_ext.arrays import Floats
@@ -46,8 +45,8 @@ LEVEL_GAIN = 0.1  # share of its cost that a plan must save to keep less clearan
 LEAST_GAIN = 0.2  # that it must save at least, and that suffices where plans would get more expensive otherwise (s)
 DETOUR = 1.0  # cost of a plan beyond the cost-to-go from which on plans that keep less clearance are tried (s)
 RISE = 0.4  # that a plan may cost to keep more clearance than the last one, less than a regression (s)
-PROBES = 2  # attempts at retaining a rest at a level before it is searched at
-PROBES_HIGHER = 4  # the same when it is searched at a level above that of the last plan, whose rest is the fallback
+PROBES = 2  # attempts at retaining a remainder at a level before it is searched at
+PROBES_HIGHER = 4  # the same at a level above that of the last plan, whose remainder is the fallback
 LOSS_CANDIDATES = 20  # plans of a tree that are examined for room for a loss of commands, if the best one has none
 
 
@@ -55,8 +54,8 @@ LOSS_CANDIDATES = 20  # plans of a tree that are examined for room for a loss of
 class Proposal:
     """Plan for the next cycle, not yet committed, or the reason why there is none; and the effort of the search.
 
-    `lost` is why the rest of the plan that is being executed was
-    not retained.  `switch_refused` is whether a better plan that goes another way was found, but does not save enough.
+    `lost` is why the remainder of the plan that is being executed was not retained.  `switch_refused` is whether a
+    better plan that goes another way was found, but does not save enough.
     """
 
     plan: Plan | None
@@ -77,13 +76,13 @@ class _Query:
 
     number: int
     root: Floats
-    rest: Rest | None
+    remainder: Remainder | None
     began: float
 
     @property
     def left(self) -> float:
         """Cost that is left of the last plan, infinite without one, s."""
-        return math.inf if self.rest is None else self.rest.left
+        return math.inf if self.remainder is None else self.remainder.left
 
 
 @dataclass(frozen=True)
@@ -155,7 +154,7 @@ class Proposer:
         if settings.type == "geodesic":
             proposal = self._propose_geodesic(root, drives=previous is not None)
         else:
-            query = _Query(number, root, self._rest(previous), began)
+            query = _Query(number, root, self._remainder(previous), began)
             proposal = self._propose_in_turn(query) if settings.bound is None else self._propose_at_levels(query)
         seconds = clock.perf_counter() - began
         missed = number > 0 and seconds > settings.cycle - settings.lead  # the first plan is made before the drive
@@ -165,7 +164,7 @@ class Proposer:
         return replace(proposal, seconds=seconds, missed=missed)
 
     def _propose_in_turn(self, query: _Query) -> Proposal:
-        """Plan with a fixed clearance: of the first solver that finds one, or of the one that keeps the rest."""
+        """Plan with a fixed clearance: of the first solver that finds one, or of the one that retains the remainder."""
         self._budget.begin(query.began)
         last, self._grown, proposal = self._grown, None, Proposal(None)
         for dirt, share in self._solvers_in_turn(query.root):
@@ -175,7 +174,7 @@ class Proposer:
                 self._grown = self._grown_of(dirt, found.plan)
             if proposal.plan is None:
                 continue
-            if last is None or dirt is last.dirt or not self._is_worse(proposal, query.rest):
+            if last is None or dirt is last.dirt or not self._is_worse(proposal, query.remainder):
                 break
         return proposal
 
@@ -199,12 +198,12 @@ class Proposer:
 
     def _search_at_levels(self, query: _Query) -> Proposal:
         """Plan of the first level that leaves a way to the goal, or of a later one that saves enough."""
-        levels, rest = self._levels, query.rest
+        levels = self._levels
         kept, chosen, proposal, refused = levels.kept, levels.kept, Proposal(None), False
         waiting, self._grown = self._first_levels(query), None
         while waiting and self._budget.left > 0:
             number = waiting.pop(0)
-            dirt = levels.set(number, eased=rest is not None and number == kept)
+            dirt = levels.set(number, eased=query.remainder is not None and number == kept)
             attempts = PROBES_HIGHER if number < kept else CORRECTION_ATTEMPTS
             found = self._search(query, dirt, LEVEL_TIME, is_last=not waiting, attempts=attempts)
             if number < kept and not _leads_to_goal(found):
@@ -217,7 +216,7 @@ class Proposer:
             if _leads_to_goal(proposal) and not (waiting and self._is_compared(number, waiting[0], found, query)):
                 break
         if proposal.plan is not None:
-            cost = total_cost(proposal.plan)
+            cost = proposal.plan.total_cost
             levels.note_progress(cost, rises=chosen < kept)
             levels.note_comparison(refused)
             levels.keep(chosen, stalled=cost > query.left + STALLED or not levels.gets_on)
@@ -229,7 +228,7 @@ class Proposer:
         """What a plan must save to keep less clearance than the one of a proposal, s."""
         if proposal.plan is None or not self._levels.gets_on:
             return 0.0
-        cost = total_cost(proposal.plan)
+        cost = proposal.plan.total_cost
         return LEAST_GAIN if cost > query.left + STALLED else max(LEAST_GAIN, LEVEL_GAIN * cost)
 
     def _is_compared(self, number: int, following: int, found: Proposal, query: _Query) -> bool:
@@ -243,12 +242,12 @@ class Proposer:
         levels = self._levels
         if found.plan is None:
             return False
-        cost, may_be_narrow = total_cost(found.plan), levels.bound.drive_is_known or not levels.gets_on
+        cost, may_be_narrow = found.plan.total_cost, levels.bound.drive_is_known or not levels.gets_on
         if number >= levels.kept and following >= levels.wide and not may_be_narrow:
             return False
         if levels.compares and cost > self._solvers.planning.root_cost_to_go + DETOUR:
             return True
-        if query.rest is None or number > levels.kept or (number == levels.kept and not levels.stalled):
+        if query.remainder is None or number > levels.kept or (number == levels.kept and not levels.stalled):
             return False
         gains_foresight = number < levels.farsighted <= levels.kept
         return cost > query.left + (STALLED if gains_foresight else RETAINED_TOLERANCE)
@@ -267,17 +266,17 @@ class Proposer:
         return waiting
 
     def _holds(self, query: _Query, number: int) -> bool:
-        """Whether the whole rest of the last plan can be retained at a level, at no higher cost."""
-        dirt, rest = self._levels.set(number, eased=False), query.rest
+        """Whether the whole remainder of the last plan can be retained at a level, at no higher cost."""
+        dirt, remainder = self._levels.set(number, eased=False), query.remainder
         if (
-            rest is None
+            remainder is None
             or dirt.start(query.root, self._seed_of(query.number)) < 0.0
             or dirt.slack(query.root) < 0.0
         ):
             return False
-        if rest.edges is not None:
-            start_with_best_corrections(dirt, query.root, rest, self._seed_of(query.number), PROBES)
-        return retain(dirt, query.root, rest) is PlanLoss.NONE
+        if remainder.edges is not None:
+            start_with_best_corrections(dirt, query.root, remainder, self._seed_of(query.number), PROBES)
+        return retain(dirt, query.root, remainder) is PlanLoss.NONE
 
     def _seed_of(self, number: int) -> int:
         return self._seed * 100_003 + number
@@ -330,13 +329,15 @@ class Proposer:
             checking.set_delta(max(0.0, safety.delta + min(slack, 0.0) - RECOVERY_MARGIN))
         return recovers
 
-    def _rest(self, previous: Plan | None) -> Rest | None:
-        """Rest of the plan that is executed, as the settings retain it; None if it ends before the cycle does."""
+    def _remainder(self, previous: Plan | None) -> Remainder | None:
+        """Remainder of the plan that is executed, as the settings retain it; None if it ends before the cycle does."""
         settings = self._settings
-        if previous is None or not has_rest(previous, settings.cycle):
+        if previous is None or not has_remainder(previous, settings.cycle):
             return None
         grown = self._grown
-        return Rest(previous, settings.cycle, grown.edges if grown is not None and grown.plan is previous else None)
+        return Remainder(
+            previous, settings.cycle, grown.edges if grown is not None and grown.plan is previous else None
+        )
 
     def _grown_of(self, dirt: DirtSolver, plan: Plan | None) -> _Grown | None:
         """The plan of a solver's tree, with what the next cycle retains of the tree if the settings say so.
@@ -346,15 +347,17 @@ class Proposer:
         settings, edges = self._settings, None
         if plan is None:
             return None
-        if settings.retain == "tree" and has_rest(plan, settings.cycle):
+        if settings.retain == "tree" and has_remainder(plan, settings.cycle):
             edges = dirt.retainable_edges(plan, settings.cycle, settings.iterations)
         return _Grown(dirt, plan, edges)
 
-    def _is_worse(self, proposal: Proposal, rest: Rest | None) -> bool:
-        """Whether a plan replaces a lost rest and costs more; if a gain is required, the rest's solver is asked."""
-        if self._settings.switch_gain == 0.0 or rest is None or proposal.lost is PlanLoss.NONE or proposal.plan is None:
+    def _is_worse(self, proposal: Proposal, remainder: Remainder | None) -> bool:
+        """Whether a plan replaces a lost remainder and costs more; if a gain is required, the last solver is asked."""
+        if self._settings.switch_gain == 0.0 or remainder is None:
             return False
-        return total_cost(proposal.plan) > rest.left + RETAINED_TOLERANCE
+        if proposal.plan is None or proposal.lost is PlanLoss.NONE:
+            return False
+        return proposal.plan.total_cost > remainder.left + RETAINED_TOLERANCE
 
     def _search(
         self,
@@ -365,19 +368,20 @@ class Proposer:
         attempts: int = CORRECTION_ATTEMPTS,
     ) -> Proposal:
         """Alg. 1 from the predicted root, starting with the remainder of the plan that is being executed."""
-        root, rest = query.root, query.rest
+        root, remainder = query.root, query.remainder
         if dirt.start(root, self._seed_of(query.number)) < 0.0:
             return Proposal(None, "the predicted start of the cycle is in collision or too near to an obstacle")
         if dirt.slack(root) < 0.0:
             return Proposal(None, "the predicted start of the cycle lacks clearance")
-        lost = PlanLoss.NONE
-        if rest is not None:
-            if rest.edges is not None:
-                start_with_best_corrections(dirt, root, rest, self._seed_of(query.number), attempts)
-            lost = retain(dirt, root, rest)  # ll. 1-8
-        kept = None if rest is None or self._settings.switch_gain == 0.0 else retained_plan(dirt, rest)
+        lost, retained = PlanLoss.NONE, None
+        if remainder is not None:
+            if remainder.edges is not None:
+                start_with_best_corrections(dirt, root, remainder, self._seed_of(query.number), attempts)
+            lost = retain(dirt, root, remainder)  # ll. 1-8
+            if self._settings.switch_gain > 0.0:
+                retained = retained_plan(dirt, remainder)
         progress = self._budget.grow(dirt, query.left, share, is_last)
-        plan, refused = self._choose(dirt, kept)
+        plan, refused = self._choose(dirt, retained)
         if plan is not None and self.loss is not None:
             plan = self._with_room_for_loss(dirt, plan, self.loss)
         if plan is not None:
@@ -388,20 +392,20 @@ class Proposer:
             plan, reason, progress.iterations, progress.nodes, progress.retained, 0.0, False, lost, refused, tree
         )
 
-    def _choose(self, dirt: DirtSolver, kept: Plan | None) -> tuple[Plan | None, bool]:
+    def _choose(self, dirt: DirtSolver, retained: Plan | None) -> tuple[Plan | None, bool]:
         """Best plan, or the best one that goes the way of the retained plan if leaving it does not save enough."""
         best, gain = dirt.plan(), self._settings.switch_gain
-        if kept is None or best is None or best.reaches_goal > kept.reaches_goal:
+        if retained is None or best is None or best.reaches_goal > retained.reaches_goal:
             return best, False
-        if total_cost(best) <= total_cost(kept) - gain or goes_same_way(dirt, best, kept):
+        if best.total_cost <= retained.total_cost - gain or goes_same_way(dirt, best, retained):
             return best, False
         for node in dirt.goal_nodes()[1:]:
             plan = dirt.plan_to(int(node))
-            if plan.cost >= total_cost(kept):
+            if plan.cost >= retained.total_cost:
                 break
-            if goes_same_way(dirt, plan, kept):
+            if goes_same_way(dirt, plan, retained):
                 return plan, True
-        return kept, True
+        return retained, True
 
     def _with_room_for_loss(self, dirt: DirtSolver, plan: Plan, loss: CommandLoss) -> Plan:
         """The plan, or the next best one of the tree on which the vehicle stops in time if commands are lost.
@@ -417,7 +421,7 @@ class Proposer:
     def slower(self, number: int, plan: Plan, root: Floats) -> Iterator[Plan]:
         """The plan of cycle `number` from `root` (nx,) with less and less drive, for a vehicle that may lose commands.
 
-        The last one that was taken is the plan whose rest the next proposal retains.
+        The last one that was taken is the plan whose remainder the next proposal retains.
         """
         if self.loss is None:
             return
@@ -446,7 +450,7 @@ def _is_better(found: Proposal, proposal: Proposal, gain: float) -> bool:
     """Whether a plan to the goal that another solver found saves `gain` (s), or alone reaches the goal."""
     if found.plan is None or proposal.plan is None or not found.plan.reaches_goal:
         return False
-    return not proposal.plan.reaches_goal or total_cost(found.plan) <= total_cost(proposal.plan) - gain
+    return not proposal.plan.reaches_goal or found.plan.total_cost <= proposal.plan.total_cost - gain
 
 
 def _failure_reason(progress: Progress) -> str:

@@ -34,7 +34,6 @@ from kraft.driving.method import PlannerSettings
 from kraft.driving.prediction import ClosedLoopPredictor, least_slack, required_clearance
 from kraft.driving.proposer import RECOVERY_MARGIN, Proposal, Proposer
 from kraft.driving.references import contingency_reference, holding_control, plan_reference
-from kraft.driving.rest import total_cost
 from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import VehicleModel, model_of
 from ompl_ext.arrays import Floats
@@ -175,7 +174,7 @@ class Replanner:
         self._use(solvers)
 
     def _use(self, solvers: Solvers) -> None:
-        """Use the solvers of the proposer for all the rest."""
+        """Use the solvers of the proposer for everything else."""
         self._solvers, self.dirt, self._has_maps = solvers, solvers.checking, True
         self._predict = replace(self._predict, dirt=self.dirt)
         set_map(self._predict.controller, self.dirt)
@@ -279,9 +278,9 @@ class Replanner:
         tracked = current.reference_at(estimate.time)
         over = tracked.kind is ReferenceKind.CONTINGENCY and estimate.time >= tracked.end + SETTLED
         return self._switches and over and abs(float(estimate.state[self.dirt.vehicle.rest_indices[0]])) < NOISE
+
     def _is_resting(self, state: Floats) -> bool:
         return bool(self.dirt.safety.is_resting(self.dirt.vehicle, state))
-
 
     def _at_rest(self, state: Floats) -> Floats:
         state = state.copy()
@@ -477,7 +476,7 @@ class Replanner:
             speed=float(estimate.state[vehicle.rest_indices[0]]),
             kind=decision.reference.kind,
             reason=decision.reason,
-            cost_to_goal=total_cost(plan) if plan else math.inf,
+            cost_to_goal=plan.total_cost if plan else math.inf,
             clearance=self.dirt.least_distance(poses),
             iterations=proposal.iterations,
             nodes=proposal.nodes,

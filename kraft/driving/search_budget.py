@@ -10,7 +10,7 @@ import time as clock
 from typing import Final
 
 from kraft.driving.method import PlannerSettings
-from kraft.driving.rest import RETAINED_TOLERANCE
+from kraft.driving.remainder import RETAINED_TOLERANCE
 from ompl_ext.query_tree import Progress
 from ompl_ext.solver import DirtSolver
 

@@ -2,9 +2,9 @@
 
 It knows what the controller knows: every tick the controller tells it the command, the observations, and what is on
 board.  When no such message arrives for longer than two commands should be apart, the guard receives the poses itself
-and goes on from there: the rest of the plan on board, then its contingency, both verified, with feedback.  It stops
-doing so as soon as the controller drives again.  It is in a session of its own, so that signals to the group of the
-other processes, such as Ctrl-Z in a terminal, do not reach it, and it outlives them until the vehicle stands.
+and goes on from there: the remainder of the plan on board, then its contingency, both verified, with feedback.  It
+stops doing so as soon as the controller drives again.  It is in a session of its own, so that signals to the group of
+the other processes, such as Ctrl-Z in a terminal, do not reach it, and it outlives them until the vehicle stands.
 """
 
 from __future__ import annotations

@@ -241,11 +241,11 @@ def test_the_share_goes_back_up_when_the_bound_leaves_a_way_again_but_not_at_onc
     assert kept == sorted(kept)
 
 
-def test_the_rest_of_a_plan_needs_a_little_less_than_a_new_plan() -> None:
+def test_the_remainder_of_a_plan_needs_a_little_less_than_a_new_plan() -> None:
     subject, _ = proposed(WIDE)
     levels = subject._proposer._levels
-    new, rest = (levels.set(0, eased).safety.delta for eased in (False, True))
-    assert (new, rest) == (pytest.approx(WIDE.delta), pytest.approx(HYSTERESIS * WIDE.delta))
+    new, eased = (levels.set(0, eased).safety.delta for eased in (False, True))
+    assert (new, eased) == (pytest.approx(WIDE.delta), pytest.approx(HYSTERESIS * WIDE.delta))
 
 
 # In the replanner

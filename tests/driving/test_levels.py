@@ -1,4 +1,4 @@
-"""Levels of clearance under a measured bound: their order, the budget that they share, the rest that they keep."""
+"""Levels of clearance under a measured bound: their order, the budget that they share, the remainder that they keep."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ from kraft.driving.proposer import (
     Proposer,
     _Query,
 )
+from kraft.driving.remainder import RETAINED_TOLERANCE
 from kraft.driving.replanner import Replanner
-from kraft.driving.rest import RETAINED_TOLERANCE, total_cost
 from kraft.driving.solvers import Solvers
 from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver
@@ -160,16 +160,16 @@ def test_every_level_keeps_what_the_bound_asks_for_turns() -> None:
     assert subject.bound.later.turning == 0.03
 
 
-def test_the_rest_of_a_plan_needs_at_a_narrow_level_what_suffices_when_it_is_checked_again() -> None:
+def test_the_remainder_of_a_plan_needs_at_a_narrow_level_what_suffices_when_it_is_checked_again() -> None:
     subject = levels()
     subject.bound = DeviationBound(0.1, 0.2, 0.05, 1.5)
     narrow = subject.wide
     subject.keep(narrow, stalled=False)
-    rest = subject.set(narrow, eased=True).safety
+    eased = subject.set(narrow, eased=True).safety
     subject.require()
     again = solvers().checking.safety
-    assert (rest.delta, rest.delta_per_speed) == pytest.approx((again.delta, again.delta_per_speed))
-    assert rest.delta < HYSTERESIS * subject.set(narrow, eased=False).safety.delta
+    assert (eased.delta, eased.delta_per_speed) == pytest.approx((again.delta, again.delta_per_speed))
+    assert eased.delta < HYSTERESIS * subject.set(narrow, eased=False).safety.delta
 
 
 def test_the_later_part_of_a_plan_keeps_what_the_bound_is_expected_to_be_then() -> None:
@@ -218,12 +218,12 @@ def test_a_plan_keeps_share_and_margin_to_its_end() -> None:
     assert away >= share_kept(subject._proposer) * 0.05 + MARGIN - 1e-9
 
 
-def test_a_rest_can_be_retained_without_a_search_at_the_levels_whose_clearance_it_keeps() -> None:
+def test_a_remainder_can_be_retained_without_a_search_at_the_levels_whose_clearance_it_keeps() -> None:
     subject, (found,) = driven(DeviationBound(0.04))
     plan, proposer = found.plan, subject._proposer
     assert plan is not None
     root = np.array([np.interp(1.0, plan.times, column) for column in plan.trajectory.T])
-    query = _Query(1, root, proposer._rest(plan), 0.0)
+    query = _Query(1, root, proposer._remainder(plan), 0.0)
     for bound, expected in ((0.04, [True, True, True]), (0.2, [False, True, True]), (0.4, [False, False, True])):
         proposer._levels.bound = DeviationBound(bound)
         assert [proposer._holds(query, number) for number in range(3)] == expected
@@ -232,7 +232,7 @@ def test_a_rest_can_be_retained_without_a_search_at_the_levels_whose_clearance_i
 def test_plans_of_a_bound_that_grows_cost_hardly_more_than_what_was_left() -> None:
     for seed in range(4):
         _, found = driven(DeviationBound(0.04), DeviationBound(0.04), DeviationBound(0.1), seed=seed)
-        costs = [total_cost(proposal.plan) for proposal in found if proposal.plan is not None]
+        costs = [proposal.plan.total_cost for proposal in found if proposal.plan is not None]
         assert all(after <= before - 1.0 + STALLED for before, after in itertools.pairwise(costs))
 
 
@@ -393,7 +393,7 @@ def test_a_vehicle_gets_on_only_if_plans_are_cheaper_than_the_cheapest_before() 
     assert levels._waited == 0
 
 
-def test_the_same_rest_is_retained_in_every_run() -> None:
+def test_the_same_remainder_is_retained_in_every_run() -> None:
     bounds = [DeviationBound(0.04), DeviationBound(0.1), DeviationBound(0.06), DeviationBound(0.12)]
     one, two = (driven(*bounds)[1] for _ in range(2))
     for a, b in zip(one, two, strict=True):
@@ -403,9 +403,9 @@ def test_the_same_rest_is_retained_in_every_run() -> None:
         assert a.plan.trajectory.tobytes() == b.plan.trajectory.tobytes()
 
 
-def test_a_rest_that_is_kept_costs_no_more_than_what_was_left() -> None:
+def test_a_remainder_that_is_kept_costs_no_more_than_what_was_left() -> None:
     _, found = driven(*[DeviationBound(0.04)] * 5)
-    costs = [total_cost(proposal.plan) for proposal in found if proposal.plan is not None]
+    costs = [proposal.plan.total_cost for proposal in found if proposal.plan is not None]
     assert all(after <= before - 1.0 + RETAINED_TOLERANCE for before, after in itertools.pairwise(costs))
 
 
@@ -416,10 +416,10 @@ def test_a_plan_keeps_its_tree_when_less_clearance_is_searched_for_and_refused(m
     proposer, plan = subject._proposer, found[-1].plan
     assert found[0].iterations > 600
     assert plan is not None
-    rest = proposer._rest(plan)
-    assert rest is not None
-    assert rest.edges is not None
-    assert len(rest.edges.durations) > rest.edges.rest  # and edges that begin on it
+    remainder = proposer._remainder(plan)
+    assert remainder is not None
+    assert remainder.edges is not None
+    assert len(remainder.edges.durations) > remainder.edges.remaining  # and edges that begin on it
 
 
 # In the replanner

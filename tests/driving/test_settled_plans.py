@@ -6,6 +6,7 @@ import itertools
 import math
 from dataclasses import replace
 from functools import cache
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -14,8 +15,9 @@ from support.replanner import FARSIGHTED, drive, mushr, replanner, start
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
 from kraft.driving.proposer import Proposal, Proposer, _is_better
-from kraft.driving.rest import Rest, goes_same_way, total_cost
+from kraft.driving.remainder import Remainder
 from kraft.driving.solvers import Solvers
+from kraft.driving.ways import goes_same_way
 from kraft.planning.workspace import start_state
 from kraft.scenario import Task, load_scenario
 from ompl_ext.arrays import Floats
@@ -48,14 +50,14 @@ def after_a_cycle(plan: Plan, moved: Floats | float = 0.0) -> Floats:
     return state + moved
 
 
-def rest_of(subject: Proposer, plan: Plan) -> Rest:
-    rest = subject._rest(plan)
-    assert rest is not None
-    return rest
+def remainder_of(subject: Proposer, plan: Plan) -> Remainder:
+    remainder = subject._remainder(plan)
+    assert remainder is not None
+    return remainder
 
 
 @pytest.mark.parametrize("retain", ["plan", "tree"])
-def test_a_plan_that_ends_with_the_cycle_up_to_rounding_has_no_rest(retain: str) -> None:
+def test_a_plan_that_ends_with_the_cycle_up_to_rounding_has_no_remainder(retain: str) -> None:
     subject = proposer(retain=retain)
     plan = proposed(subject).head(0.0)
     ends = 1.0 + 5e-10
@@ -65,7 +67,7 @@ def test_a_plan_that_ends_with_the_cycle_up_to_rounding_has_no_rest(retain: str)
 
 
 def end_after_retaining(retain: str, moved: Floats) -> tuple[float, Floats]:
-    """Distance of the end of the retained rest from the plan's end, m, and its state (nx,); inf if it was lost."""
+    """Distance of the end of the retained remainder from the plan's end, m, and its state (nx,); inf if it was lost."""
     subject = proposer(retain=retain)
     plan = proposed(subject)
     edges = len(plan.durations) - int(np.searchsorted(plan.durations.cumsum(), 1.0 + 1e-9, side="right"))
@@ -77,38 +79,38 @@ def end_after_retaining(retain: str, moved: Floats) -> tuple[float, Floats]:
     return math.dist(end[:2], plan.states[-1][:2]), end
 
 
-def test_a_cycle_retains_the_rest_of_the_plan_and_edges_of_its_tree_that_begin_on_it() -> None:
+def test_a_cycle_retains_the_remainder_of_the_plan_and_edges_of_its_tree_that_begin_on_it() -> None:
     subject = proposer(seed=BRANCHED, retain="tree")
     plan = proposed(subject)
-    before, edges = subject.dirt.tree(), rest_of(subject, plan).edges
+    before, edges = subject.dirt.tree(), remainder_of(subject, plan).edges
     assert edges is not None
-    assert len(edges.parents) > edges.rest == len(edges.targets) > 0
-    assert edges.durations[: edges.rest].sum() == pytest.approx(plan.cost - 1.0)
+    assert len(edges.parents) > edges.remaining == len(edges.targets) > 0
+    assert edges.durations[: edges.remaining].sum() == pytest.approx(plan.cost - 1.0)
     assert all(parent < k for k, parent in enumerate(edges.parents))
     known = {(*control, duration) for control, duration in zip(before.controls, before.durations, strict=True)}
-    for control, duration in zip(edges.controls[edges.rest :], edges.durations[edges.rest :], strict=True):
+    for control, duration in zip(edges.controls[edges.remaining :], edges.durations[edges.remaining :], strict=True):
         assert (*control, duration) in known
     proposal = subject.propose(1, after_a_cycle(plan), plan)
-    assert proposal.retained > edges.rest
-    rest_ends = subject.dirt.retained_nodes[edges.rest - 1]
-    assert subject.dirt.tree_arrays.value[rest_ends, at.COST] == pytest.approx(plan.cost - 1.0)
+    assert proposal.retained > edges.remaining
+    end = subject.dirt.retained_nodes[edges.remaining - 1]
+    assert subject.dirt.tree_arrays.value[end, at.COST] == pytest.approx(plan.cost - 1.0)
 
 
 def test_no_more_edges_than_the_limit_are_retained_and_the_most_promising_first() -> None:
     subject = proposer(seed=BRANCHED, retain="tree")
     plan = proposed(subject)
     everything, few = (subject.dirt.retainable_edges(plan, 1.0, limit) for limit in (1000, 2))
-    assert len(few.parents) <= few.rest + 2 < len(everything.parents)
+    assert len(few.parents) <= few.remaining + 2 < len(everything.parents)
     none = subject.dirt.retainable_edges(plan, 1.0, 0)
-    assert len(none.parents) == none.rest
+    assert len(none.parents) == none.remaining
 
 
 def test_nothing_of_a_tree_is_retained_after_a_plan_of_another_proposal() -> None:
     subject = proposer(retain="tree")
     plan = proposed(subject)
     subject.propose(1, after_a_cycle(plan), plan)
-    assert rest_of(subject, plan).edges is None
-    assert subject._rest(None) is None
+    assert remainder_of(subject, plan).edges is None
+    assert subject._remainder(None) is None
 
 
 def test_from_a_state_that_differs_a_little_the_rest_is_corrected_to_end_where_it_was_to_end() -> None:
@@ -167,9 +169,9 @@ def two_ways() -> tuple[Plan, Plan]:
         plan = dirt.plan()
         assert plan is not None
         plans.append(plan)
-    to_goal = sorted((plan for plan in plans if plan.reaches_goal), key=total_cost)
+    to_goal = sorted((plan for plan in plans if plan.reaches_goal), key=attrgetter("total_cost"))
     for one, two in itertools.combinations(to_goal, 2):
-        if total_cost(two) > total_cost(one) + 0.01 and not goes_same_way(dirt, one, two):
+        if two.total_cost > one.total_cost + 0.01 and not goes_same_way(dirt, one, two):
             return one, two
     raise AssertionError("all plans go the same way")
 
@@ -186,14 +188,14 @@ def with_both(subject: Proposer) -> tuple[DirtSolver, Plan]:
 
 def test_another_way_is_refused_below_the_gain_and_taken_above_it() -> None:
     cheap, dear = two_ways()
-    saved = total_cost(dear) - total_cost(cheap)
+    saved = dear.total_cost - cheap.total_cost
     for gain, refused in ((0.0, False), (0.9 * saved, False), (1.1 * saved, True)):
         subject = proposer(boxes(), switch_gain=gain)
         dirt, kept = with_both(subject)
         plan, was_refused = subject._choose(dirt, kept)
         assert plan is not None
         assert was_refused is refused
-        assert total_cost(plan) == pytest.approx(total_cost(dear if refused else cheap))
+        assert plan.total_cost == pytest.approx((dear if refused else cheap).total_cost)
 
 
 def test_a_plan_goes_the_same_way_as_itself_and_not_the_way_on_the_other_side_of_a_box() -> None:
@@ -208,7 +210,7 @@ def test_without_the_margin_a_plan_is_better_if_it_saves_the_gain_or_alone_reach
     cheap, dear = (Proposal(plan, lost=PlanLoss.COLLISION) for plan in two_ways())
     assert cheap.plan is not None
     assert dear.plan is not None
-    saved = total_cost(dear.plan) - total_cost(cheap.plan)
+    saved = dear.plan.total_cost - cheap.plan.total_cost
     assert _is_better(cheap, dear, 0.9 * saved)
     assert not _is_better(cheap, dear, 1.1 * saved)
     short = replace(dear, plan=replace(dear.plan, reaches_goal=False))
@@ -216,11 +218,11 @@ def test_without_the_margin_a_plan_is_better_if_it_saves_the_gain_or_alone_reach
     assert not _is_better(replace(cheap, plan=None), dear, 0.9 * saved)
 
 
-def test_the_solver_of_a_lost_rest_is_asked_only_if_a_gain_is_required_and_the_plan_costs_more() -> None:
+def test_the_solver_of_a_lost_remainder_is_asked_only_if_a_gain_is_required_and_the_plan_costs_more() -> None:
     cheap, dear = two_ways()
-    rest, lost = Rest(cheap, 0.0), Proposal(dear, lost=PlanLoss.COLLISION)
+    remainder, lost = Remainder(cheap, 0.0), Proposal(dear, lost=PlanLoss.COLLISION)
     costly = replace(lost, plan=replace(dear, cost=dear.cost + 1.0))
-    assert proposer(switch_gain=1.0)._is_worse(costly, rest)
-    assert not proposer()._is_worse(costly, rest)
-    assert not proposer(switch_gain=1.0)._is_worse(replace(costly, lost=PlanLoss.NONE), rest)
+    assert proposer(switch_gain=1.0)._is_worse(costly, remainder)
+    assert not proposer()._is_worse(costly, remainder)
+    assert not proposer(switch_gain=1.0)._is_worse(replace(costly, lost=PlanLoss.NONE), remainder)
     assert not proposer(switch_gain=1.0)._is_worse(costly, None)

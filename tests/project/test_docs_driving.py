@@ -39,8 +39,8 @@ from kraft.driving.proposer import (
     RISE,
     STALLED,
 )
+from kraft.driving.remainder import ATTEMPT_TOLERANCE, CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
 from kraft.driving.replanner import NEARBY, ROOM
-from kraft.driving.rest import ATTEMPT_TOLERANCE, CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
 from kraft.driving.search_budget import PATIENCE
 from kraft.driving.solvers import COVER_EXCESS, method_safety
 from kraft.scenario import Sensing
@@ -171,7 +171,7 @@ def test_quoted_constants_are_those_in_the_code() -> None:
     """Numbers of the sections on the bound and on the adaptive estimator that are constants, not settings."""
     words = " ".join(TEXT.split())
     for text in (
-        f"its rest needs only {HYSTERESIS:g} of the clearance", f"costs over {STALLED:g} s more than what was left",
+        f"its remainder needs only {HYSTERESIS:g} of the clearance", f"costs over {STALLED:g} s more than what was left",
         f"costs at most {RETAINED_TOLERANCE:g} s more", f"a stop of less than {DRIVE_MAX:g} s",
         f"the settings count as {PRIOR_SAMPLES:g} independent poses, and as {PRIOR_CORRELATION:g} correlation times",
         f"up to forces that come and go, of {PASSING_FORCE:g} m/s², each {PASSING_TIME:g} s another one",

@@ -1,28 +1,26 @@
-"""Rest of the plan that is being executed: what the next query retains of it, and whether another plan goes its way."""
+"""Remainder of the plan that is being executed, and what the next query retains of it (Alg. 1, ll. 1-8)."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from kraft.driving.messages import PlanLoss
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
 from ompl_ext.retainment import RetainableEdges, remaining_edges
 from ompl_ext.solver import DirtSolver
 
 RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)
-CORRECTION_ATTEMPTS = 12  # at retaining a rest with different random corrections
-ATTEMPT_TOLERANCE = 0.03  # by which the cost of a whole rest may be higher after each attempt at a cheaper one (s)
+CORRECTION_ATTEMPTS = 12  # at retaining a remainder with different random corrections
+ATTEMPT_TOLERANCE = 0.03  # by which a whole remainder may cost more after each attempt at a cheaper one (s)
 FRUITLESS_ATTEMPTS = 6  # in a row, that retain no more and save less than this tolerance, after which no more are made
 ATTEMPT_SEEDS = 1_000_000_007  # between the seeds of two attempts
 
 
 @dataclass(frozen=True)
-class Rest:
-    """Rest of a plan after `elapsed` s, with the edges of its tree that are retained too, if any."""
+class Remainder:
+    """Remainder of a plan after `elapsed` s, with the edges of its tree that are retained too, if any."""
 
     plan: Plan
     elapsed: float
@@ -31,22 +29,17 @@ class Rest:
     @property
     def left(self) -> float:
         """Cost that is left of the plan, s."""
-        return total_cost(self.plan) - self.elapsed
+        return self.plan.total_cost - self.elapsed
 
 
-def has_rest(plan: Plan, elapsed: float) -> bool:
+def has_remainder(plan: Plan, elapsed: float) -> bool:
     """Whether an edge of a plan is left after `elapsed` s."""
     return len(remaining_edges(plan.controls, plan.durations, elapsed)[2]) > 0
 
 
-def total_cost(plan: Plan) -> float:
-    """Cost of a plan and cost-to-go from its end, s."""
-    return plan.cost + plan.cost_to_go
-
-
-def retained_plan(dirt: DirtSolver, rest: Rest) -> Plan | None:
-    """Plan that consists of what was retained of a rest; None if an edge is missing or a plan may not end there."""
-    _, _, durations = remaining_edges(rest.plan.controls, rest.plan.durations, rest.elapsed)
+def retained_plan(dirt: DirtSolver, remainder: Remainder) -> Plan | None:
+    """Plan of what was retained of a remainder; None if an edge is missing or a plan may not end there."""
+    _, _, durations = remaining_edges(remainder.plan.controls, remainder.plan.durations, remainder.elapsed)
     last = int(dirt.retained_nodes[len(durations) - 1])
     if last < 0:
         return None
@@ -55,43 +48,44 @@ def retained_plan(dirt: DirtSolver, rest: Rest) -> Plan | None:
 
 
 def start_with_best_corrections(
-    dirt: DirtSolver, root: Floats, rest: Rest, seed: int, attempts: int = CORRECTION_ATTEMPTS
+    dirt: DirtSolver, root: Floats, remainder: Remainder, seed: int, attempts: int = CORRECTION_ATTEMPTS
 ) -> None:
-    """Start a query at `root` (nx,) with the seed that retains most of a rest, of several, the cheapest one if all.
+    """Start a query at `root` (nx,) with the seed, of several, that retains most of a remainder; the cheapest if all.
 
     Corrections are random, and each of them is the best one for its own edge only: others pass where one fails.  A
-    cheaper whole rest is worth ever fewer attempts, and where none helps, the cause is not the correction.
+    cheaper whole remainder is worth ever fewer attempts, and where none helps, the cause is not the correction.
     """
-    assert rest.edges is not None
-    edges, best, fruitless = rest.edges, (-1, -math.inf, seed), 0
-    part = slice(0, edges.rest)
+    assert remainder.edges is not None
+    edges, best, fruitless = remainder.edges, (-1, -math.inf, seed), 0
+    part = slice(0, edges.remaining)
     for attempt in range(attempts):
         dirt.start(root, seed + attempt * ATTEMPT_SEEDS)
         retained = dirt.retain_edges(edges.parents[part], edges.controls[part], edges.durations[part], edges.targets)
         gains = retained > best[0] or (retained == best[0] and -dirt.best_cost > best[1] + ATTEMPT_TOLERANCE)
         fruitless = 0 if gains else fruitless + 1
         best = max(best, (retained, -dirt.best_cost, seed + attempt * ATTEMPT_SEEDS))
-        suffices = best[0] == edges.rest and -best[1] <= rest.left + RETAINED_TOLERANCE + attempt * ATTEMPT_TOLERANCE
+        enough = remainder.left + RETAINED_TOLERANCE + attempt * ATTEMPT_TOLERANCE
+        suffices = best[0] == edges.remaining and -best[1] <= enough
         if suffices or fruitless == FRUITLESS_ATTEMPTS:
             break
     dirt.start(root, best[2])
 
 
-def retain(dirt: DirtSolver, root: Floats, rest: Rest) -> PlanLoss:
-    """Retain the rest of a plan, and edges of its tree if there are any, in a query that begins at `root` (nx,).
+def retain(dirt: DirtSolver, root: Floats, remainder: Remainder) -> PlanLoss:
+    """Retain the remainder of a plan, and edges of its tree if there are any, in a query that begins at `root` (nx,).
 
     Returns the reason of a loss: of an edge that was not retained or, if all were, of a cost that is higher from the
     new root.  Obstacles do not move, so an edge is in collision from the state that the plan predicted only if more
     distance is required now than when it was planned.
     """
-    plan, elapsed, edges = rest.plan, rest.elapsed, rest.edges
+    plan, elapsed, edges = remainder.plan, remainder.elapsed, remainder.edges
     _, controls, durations = remaining_edges(plan.controls, plan.durations, elapsed)
     if edges is None:
         dirt.retain(plan, elapsed, optimised=True)
     else:
         dirt.retain_edges(edges.parents, edges.controls, edges.durations, edges.targets, optimised=True)
     if dirt.retained_nodes[len(durations) - 1] >= 0:
-        return PlanLoss.ESTIMATE if dirt.best_cost > rest.left + RETAINED_TOLERANCE else PlanLoss.NONE
+        return PlanLoss.ESTIMATE if dirt.best_cost > remainder.left + RETAINED_TOLERANCE else PlanLoss.NONE
     first = int(plan.durations.cumsum().searchsorted(elapsed + 1e-9, side="right"))
     begun = elapsed - float(plan.durations[:first].sum())
     planned = dirt.edge(plan.states[first], plan.controls[first], max(begun, 0.0))[0][-1]
@@ -120,35 +114,3 @@ def _first_loss(dirt: DirtSolver, state: Floats, controls: Floats, durations: Fl
     if safety.enabled and time < safety.cycle and not math.isclose(time, safety.cycle):
         return PlanLoss.NONE if dirt.contingency(state) is not None else PlanLoss.UNSAFE
     return PlanLoss.NONE
-
-
-WAY_HORIZON = 5.0  # time over which ways are compared (s)
-WAY_WIDTH = 0.5  # distance at which one plan leaves the way of another (m)
-WAY_STEP = 0.02  # distance between the places on a way that are compared, where its samples are closer (m)
-
-
-def goes_same_way(dirt: DirtSolver, plan: Plan, other: Plan) -> bool:
-    """Whether two plans stay near each other in the next seconds and pass every obstacle on the same side."""
-    if np.array_equal(plan.trajectory, other.trajectory):
-        return True
-    (one, one_soon), (two, two_soon) = (_places(dirt, each) for each in (plan, other))
-    return _follows(dirt, one_soon, two) and _follows(dirt, two_soon, one)
-
-
-def _places(dirt: DirtSolver, plan: Plan) -> tuple[Matrix, Matrix]:
-    """Places (n, 2) on the way of a plan, and those (m, 2) of the next seconds; the start is one of both."""
-    positions = plan.trajectory[:, [dirt.vehicle.index("x"), dirt.vehicle.index("y")]]
-    steps = np.hypot(*np.diff(positions, axis=0).T).cumsum() // WAY_STEP
-    apart = np.concatenate([[True], np.diff(steps, prepend=0.0) > 0.0])
-    return positions[apart], positions[apart & (plan.times <= WAY_HORIZON)]
-
-
-def _follows(dirt: DirtSolver, points: Matrix, path: Matrix) -> bool:
-    """Whether points (n, 2) are near a path (m, 2), with no obstacle between each of them and its nearest point."""
-    away = np.linalg.norm(points[:, None] - path[None], axis=2)
-    nearest = away.argmin(axis=1)
-    if away[np.arange(len(points)), nearest].max() > WAY_WIDTH:
-        return False
-    shares = np.linspace(0.0, 1.0, 12)[:, None, None]
-    between = points + shares * (path[nearest] - points)
-    return not dirt.is_occupied(between.reshape(-1, 2)).any()

@@ -1,0 +1,40 @@
+"""Ways of plans: whether two plans go the same way, which is near each other and past obstacles on the same side."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ompl_ext.arrays import Matrix
+from ompl_ext.plan import Plan
+from ompl_ext.solver import DirtSolver
+
+HORIZON = 5.0  # time over which ways are compared (s)
+WIDTH = 0.5  # distance at which one plan leaves the way of another (m)
+STEP = 0.02  # distance between the places on a way that are compared, where its samples are closer (m)
+
+
+def goes_same_way(dirt: DirtSolver, plan: Plan, other: Plan) -> bool:
+    """Whether two plans stay near each other in the next seconds and pass every obstacle on the same side."""
+    if np.array_equal(plan.trajectory, other.trajectory):
+        return True
+    (one, one_soon), (two, two_soon) = (_places(dirt, each) for each in (plan, other))
+    return _follows(dirt, one_soon, two) and _follows(dirt, two_soon, one)
+
+
+def _places(dirt: DirtSolver, plan: Plan) -> tuple[Matrix, Matrix]:
+    """Places (n, 2) on the way of a plan, and those (m, 2) of the next seconds; the start is one of both."""
+    positions = plan.trajectory[:, [dirt.vehicle.index("x"), dirt.vehicle.index("y")]]
+    steps = np.hypot(*np.diff(positions, axis=0).T).cumsum() // STEP
+    apart = np.concatenate([[True], np.diff(steps, prepend=0.0) > 0.0])
+    return positions[apart], positions[apart & (plan.times <= HORIZON)]
+
+
+def _follows(dirt: DirtSolver, points: Matrix, path: Matrix) -> bool:
+    """Whether points (n, 2) are near a path (m, 2), with no obstacle between each of them and its nearest point."""
+    away = np.linalg.norm(points[:, None] - path[None], axis=2)
+    nearest = away.argmin(axis=1)
+    if away[np.arange(len(points)), nearest].max() > WIDTH:
+        return False
+    shares = np.linspace(0.0, 1.0, 12)[:, None, None]
+    between = points + shares * (path[nearest] - points)
+    return not dirt.is_occupied(between.reshape(-1, 2)).any()
