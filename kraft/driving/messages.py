@@ -8,7 +8,7 @@ poses are (x, y, theta) in the frame of the map (m, rad).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Protocol
@@ -267,27 +267,37 @@ class Cycle:
         return Commitment(self.reference, self.switch, self.contingency, self.decided)
 
 
+def cycles_on_board(cycles: Sequence[Cycle]) -> Iterator[Cycle]:
+    """For each cycle the one whose message the car drives by: after a lost message the last one that arrived.
+
+    It is the cycle itself if there was none, or if that one has no contingency, whose motion would be known.
+    """
+    arrived: Cycle | None = None
+    for cycle in cycles:
+        if cycle.delivered or arrived is None:
+            arrived = cycle
+        yield cycle if arrived.stopping is None else arrived
+
+
 def as_driven(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
     """Cycles as the car drives them: after a lost message the contingency on board, if there is one."""
-    driven: list[Cycle] = []
-    on_board: Cycle | None = None
-    for cycle in cycles:
-        on_board = cycle if cycle.delivered or on_board is None else on_board
-        if on_board is not cycle and on_board.stopping is not None:
-            contingency = on_board.commitment.reference_at(cycle.time)
-            driven.append(
-                replace(
-                    cycle,
-                    kind=contingency.kind,
-                    reason="the message was lost",
-                    reference=contingency,
-                    contingency=contingency,
-                    predicted=on_board.stopping,
-                )
-            )
-        else:
-            driven.append(cycle)
-    return tuple(driven)
+    pairs = zip(cycles, cycles_on_board(cycles), strict=True)
+    return tuple(cycle if on_board is cycle else _after_loss(cycle, on_board) for cycle, on_board in pairs)
+
+
+def _after_loss(cycle: Cycle, on_board: Cycle) -> Cycle:
+    """A cycle whose message was lost, with the contingency `on_board` and its motion until standstill."""
+    contingency, stopping = on_board.contingency, on_board.stopping
+    assert contingency is not None, "its motion is known"
+    assert stopping is not None, "its motion is known"
+    return replace(
+        cycle,
+        kind=contingency.kind,
+        reason="the message was lost",
+        reference=contingency,
+        contingency=contingency,
+        predicted=stopping,
+    )
 
 
 class Controller(Protocol):

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from kraft.driving.messages import ContingencyOrigin, Cycle, PredictedMotion, ReferenceKind
+from kraft.driving.messages import ContingencyOrigin, Cycle, PredictedMotion, ReferenceKind, as_driven, cycles_on_board
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.vehicle import Footprint
@@ -264,19 +264,16 @@ class _Span(NamedTuple):
 def _spans(cycles: Sequence[Cycle], ticks: Floats) -> Iterator[_Span]:
     """Each cycle with the range of the ticks between its start and the end of its prediction or the next cycle.
 
-    If its message was lost, the motion is that of the last contingency that is on board, which ends at standstill.
+    If its message was lost, the motion is that of the contingency on board, see `as_driven`.
     """
-    on_board: Cycle | None = None
-    for k, cycle in enumerate(cycles):
-        on_board = cycle if cycle.delivered else on_board
-        kind, committed, predicted, end = cycle.kind, cycle.time, cycle.predicted, float(cycle.predicted.times[-1])
-        if on_board is not None and on_board is not cycle and on_board.stopping is not None:
-            kind, committed, predicted = ReferenceKind.CONTINGENCY, on_board.time, on_board.stopping
+    pairs = zip(cycles_on_board(cycles), as_driven(cycles), strict=True)
+    for k, (cycle, (on_board, driven)) in enumerate(zip(cycles, pairs, strict=True)):
+        end = float(cycle.predicted.times[-1])
         if k + 1 < len(cycles):
             end = min(end, cycles[k + 1].time)
         first, last = np.searchsorted(ticks, [cycle.time - 1e-9, end - 1e-9])
         if last > first:
-            yield _Span(kind, committed, predicted, int(first), int(last))
+            yield _Span(driven.kind, on_board.time, driven.predicted, int(first), int(last))
 
 
 def _sort_in(deviations: list[list[int]], since: Floats, deviation: Floats) -> None:

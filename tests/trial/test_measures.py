@@ -119,7 +119,8 @@ def test_measures_of_trials_add_up() -> None:
 
 def test_after_a_lost_message_the_motion_is_compared_with_the_contingency_on_board() -> None:
     stops = PredictedMotion(np.array([1.0, 2.0]), np.array([[1.0, 0, 0, 1.0], [1.5, 0, 0, 0.0]]), 0.1, np.full(2, 0.02))
-    on_board = replace(straight(0), stopping=stops, switch=1.0)
+    contingency = straight(1, "contingency").reference
+    on_board = replace(straight(0), contingency=contingency, stopping=stops, switch=1.0)
     lost = [replace(straight(1), delivered=False), replace(straight(2), delivered=False)]
     times = np.arange(0.0, 3.0, 0.05)
     places = np.interp(times, [0.0, 1.0, 2.0], [0.0, 1.0, 1.5])
