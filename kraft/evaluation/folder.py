@@ -12,11 +12,11 @@ from typing import Any, Final
 from kraft.errors import Code, InputError
 from kraft.evaluation import journal, report
 from kraft.evaluation.experiment import MANIFEST, Experiment, check_same_manifest, manifest_of, read_manifest
-from kraft.evaluation.journal import Journal, Key, TrialRow, elapsed, read_journal
+from kraft.evaluation.journal import Journal, Key, TrialRow, read_journal
 from kraft.evaluation.ompl_benchmark import write_benchmark
 from kraft.evaluation.report import CommandLine, Results
 from kraft.evaluation.summary import FILE as SUMMARY
-from kraft.evaluation.summary import SCHEMA, Summary, evaluation_json, recorded_wall
+from kraft.evaluation.summary import SCHEMA, Summary, evaluation_json, wall_of
 from kraft.files import check_writable, write_json, write_whole
 
 ROOT: Final = Path("results")
@@ -37,8 +37,8 @@ class Folder:
 
     @property
     def wall(self) -> float:
-        """Time for which the evaluation has run, s: until the last finished trial, or as in the summary."""
-        return max(recorded_wall(self.path) or 0.0, elapsed(self.rows.values()))
+        """Time for which the evaluation has run, s."""
+        return wall_of(self.path, self.rows.values())
 
 
 def default_path(seed: int, root: Path = ROOT) -> Path:

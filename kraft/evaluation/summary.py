@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from kraft.evaluation.experiment import Experiment
-from kraft.evaluation.journal import Key, TrialRow, success_times
+from kraft.evaluation.journal import Key, TrialRow, elapsed, success_times
 from kraft.evaluation.statistics import McNemar, mcnemar, percentile, while_driving, wilson
 from kraft.scenario import Score
 from kraft.trial.measures import BAND, Measures, pooled
@@ -221,6 +221,14 @@ def measures_json(measures: Measures) -> dict[str, Any]:
         if consistency is not None
         else None,
     }
+
+
+def wall_of(folder: Path, rows: Iterable[TrialRow]) -> float:
+    """Time for which an evaluation has run, s: until the last of its trials ended, or as in its summary if it has one.
+
+    A command that was killed wrote no summary, and older evaluations have no times of trials.
+    """
+    return max(recorded_wall(folder) or 0.0, elapsed(rows))
 
 
 def recorded_wall(folder: Path) -> float | None:

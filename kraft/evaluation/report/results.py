@@ -15,7 +15,7 @@ from kraft.evaluation import journal
 from kraft.evaluation.experiment import MANIFEST, Experiment, read_manifest, scenario_content
 from kraft.evaluation.journal import Key, Replays, TrialRow
 from kraft.evaluation.summary import FILE as SUMMARY
-from kraft.evaluation.summary import RowName, Summary, recorded_wall, tabulate
+from kraft.evaluation.summary import RowName, Summary, recorded_wall, tabulate, wall_of
 from kraft.scenario import Scenario, Score, load_scenario
 from kraft.text import grouped, slugs
 
@@ -237,20 +237,21 @@ def read_results(folder: Path, command_line: CommandLine | None = None) -> Resul
         raise InputError([Diagnostic(str(file), "is damaged", expected, path=where, code=Code.SYNTAX)]) from None
     trials = {(cell.name, cell.method, seed) for cell in found.rows for seed in found.seeds}
     rows = journal.read_journal(folder / journal.NAME, trials)
-    summary = tabulate(
-        found.names, found.seeds, rows, max(_wall(folder), journal.elapsed(rows.values())), realtime=found.realtime
-    )
+    _check_summary(folder)
+    summary = tabulate(found.names, found.seeds, rows, wall_of(folder, rows.values()), realtime=found.realtime)
     replays = journal.Replays(folder / journal.REPLAYS)
     return Results(found, rows, summary, _unchanged(found), command_line, replays)
 
 
-def _wall(folder: Path) -> float:
-    """Duration of the evaluation in its summary, s; 0 if it is unfinished."""
-    wall = recorded_wall(folder)
-    if wall is None:
+def _check_summary(folder: Path) -> None:
+    """Check that the summary of a finished evaluation can be read.
+
+    Raises:
+        InputError: if it is damaged.
+    """
+    if recorded_wall(folder) is None:
         expected = "expected the summary that kraft eval writes; resuming the evaluation writes it again"
         raise InputError.of(str(folder / SUMMARY), "is damaged", expected, Code.SYNTAX)
-    return wall
 
 
 def _unchanged(found: Manifest) -> dict[str, Scenario]:
