@@ -77,6 +77,16 @@ class Chains:
         """Number of states."""
         return int(self.first[-1])
 
+    @property
+    def steps(self) -> Ints:
+        """(chains,) number of steps of each chain."""
+        return np.diff(self.first) - 1
+
+    @property
+    def first_step(self) -> Ints:
+        """(chains + 1,) where each chain's steps begin: a chain has one state more than steps."""
+        return self.first - np.arange(len(self.first))
+
 
 def whole_segment(part: Part, log: int, step: float) -> Segment:
     """Segment of a whole part, in steps of at most `step` s."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -235,10 +236,9 @@ def _lagging(chains: Chains, control: Floats) -> Floats:
     """Control (N,) of all steps behind a lag of `MODEL_LAG`."""
     found = np.empty_like(control)
     keep = math.exp(-STEP / MODEL_LAG)
-    for c in range(len(chains.first) - 1):
-        steps = slice(int(chains.first[c]) - c, int(chains.first[c + 1]) - c - 1)
-        own = control[steps]
-        found[steps] = lfilter([1.0 - keep], [1.0, -keep], own, zi=[keep * own[0]])[0]
+    for begin, end in pairwise(chains.first_step):
+        own = control[begin:end]
+        found[begin:end] = lfilter([1.0 - keep], [1.0, -keep], own, zi=[keep * own[0]])[0]
     return found
 
 

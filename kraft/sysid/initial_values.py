@@ -72,7 +72,7 @@ class InitialSearch:
     ) -> None:
         """`mean` (N, nu) are the controls that act in the steps."""
         self._parameters, self._discrete_model = parameters, discrete_model
-        steps = np.diff(chains.first) - 1
+        steps, first_step = chains.steps, chains.first_step
         chosen = np.unique(np.linspace(0, len(steps) - 1, min(CHAINS_MAX, len(steps))).round().astype(int))
         longest = int(min(STEPS_MAX, steps[chosen].max()))
         self._start = initial_states(parameters.vehicle, chains.first[:-1], data)[chosen]
@@ -81,7 +81,7 @@ class InitialSearch:
         index, lane = [], []
         for place, c in enumerate(chosen):
             count = min(longest, int(steps[c]))
-            begin = int(chains.first[c]) - c  # of its steps
+            begin = int(first_step[c])
             self._u[:count, place] = mean[begin : begin + count]
             width = max(1, min(round(COMPARED_LENGTH / self._h[place]), count))
             windows = np.arange(0, count - width + 1, max(1, width // 2))
@@ -219,7 +219,7 @@ def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, me
     throttle = mean[:, list(vehicle.controls).index("throttle")] / parameters.nominal[parameters.index("full_throttle")]
     span = max(1, round(REGRESSION_SPAN / float(chains.h[0])))
     begin = np.concatenate(
-        [np.arange(a - c, b - c - 1 - span, max(1, span // 2)) for c, (a, b) in enumerate(pairwise(chains.first))]
+        [np.arange(begin, end - span, max(1, span // 2)) for begin, end in pairwise(chains.first_step)]
     )
     sense, length = np.tanh(v / SLOW), parameters.nominal[parameters.index("L")]
     best: tuple[float, dict[str, float]] = (np.inf, {})

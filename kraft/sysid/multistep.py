@@ -235,7 +235,7 @@ class MultiStep:
     def trajectories(self, point: Point) -> Matrix:
         """States (S, nx) of all windows at their steps."""
         acting = self._controls(point.rho)[0]
-        states, steps = self._simulated(point.states, point.rho, acting), np.diff(self.problem.chains.first) - 1
+        states, steps = self._simulated(point.states, point.rho, acting), self.problem.chains.steps
         found = np.split(acting.first, np.cumsum(steps)[:-1])
         return np.concatenate([states[np.append(f, -1), i] for f, i in zip(found, acting.lane, strict=True)])
 

@@ -10,6 +10,7 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -306,11 +307,10 @@ def simulated(problem: Problem, start: Matrix, controls: Matrix, rho: Floats) ->
 
 def padded(controls: Matrix, chains: Chains) -> Floats:
     """Controls (most steps, chains, nu) of the steps of each chain, from (N, nu); zeros beyond its last step."""
-    steps = np.diff(chains.first) - 1
+    steps = chains.steps
     found = np.zeros((int(steps.max()), len(steps), controls.shape[1]))
-    for c, count in enumerate(steps):
-        begin = int(chains.first[c]) - c  # of its steps
-        found[:count, c] = controls[begin : begin + count]
+    for c, (begin, end) in enumerate(pairwise(chains.first_step)):
+        found[: end - begin, c] = controls[begin:end]
     return found
 
 

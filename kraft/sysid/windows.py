@@ -139,10 +139,10 @@ class Acting:
 def controls_in_parts(actuators: ActuatorModel, chains: Chains, rho: Floats, *, halved: bool) -> Acting:
     """Controls in the steps of all chains, those in which a command jumps in two parts, or all if `halved`."""
     share, means = actuators.split(rho, halved=halved)
-    steps = np.diff(chains.first) - 1
+    steps = chains.steps
     window, split = np.repeat(np.arange(len(steps)), steps), share < 1.0
     ends = np.cumsum(1 + split)
-    before = np.concatenate([[0], ends])[chains.first[:-1] - np.arange(len(steps))]  # parts of the windows before
+    before = np.concatenate([[0], ends])[chains.first_step[:-1]]  # parts of the windows before
     first = ends - 1 - split - before[window]
     parts = np.bincount(window, 1 + split).astype(np.int64)
     order = np.argsort(parts, kind="stable")
@@ -158,7 +158,7 @@ def controls_in_parts(actuators: ActuatorModel, chains: Chains, rho: Floats, *, 
 def places(acting: Acting, chains: Chains, windows: Windows) -> tuple[Ints, Matrix]:
     """Part of a step (W, n) in which each pose was observed, and share (W, n) of that part."""
     lane = acting.lane[:, None]
-    begin = acting.first[windows.step + (chains.first[:-1] - np.arange(len(lane)))[:, None]]
+    begin = acting.first[windows.step + chains.first_step[:-1, None]]
     since = windows.share * windows.h[:, None]
     late = since > acting.h[begin, lane] + 1e-12
     part = begin + late
