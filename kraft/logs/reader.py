@@ -24,8 +24,8 @@ from kraft.logs.names import SYNONYMS, control_score
 from kraft.logs.streams import Choice, in_any_unit, on_one_clock
 from kraft.logs.table import Table, read_csv
 from kraft.text import suggestion
+from kraft.vehicles import CAR_CONTROLS
 
-CONTROLS: Final = ("throttle", "steering")
 _SHOWN: Final = 3
 """Largest number of tables that a message names."""
 
@@ -36,7 +36,7 @@ class MismatchError(InputError):
 
 def read_logs(
     paths: str | Path | Iterable[str | Path],
-    controls: Sequence[str] = CONTROLS,
+    controls: Sequence[str] = CAR_CONTROLS,
     mapping: Mapping | None = None,
     *,
     any_command_unit: bool = False,

@@ -11,9 +11,10 @@ from kraft.errors import Diagnostic, InputError, NegativeResult
 from kraft.logs.discover import discover
 from kraft.logs.log import Log, LogSet
 from kraft.logs.mapping import Mapping, load_mapping
-from kraft.logs.reader import CONTROLS, MismatchError, read_logs
+from kraft.logs.reader import MismatchError, read_logs
 from kraft.sysid.command_units import SIDES
 from kraft.sysid.data import screen_logs
+from kraft.vehicles import CAR_CONTROLS
 
 MessageSink = Callable[[str], None]
 """Receives one message."""
@@ -83,11 +84,11 @@ def has_two_sides(paths: Sequence[Path], mapping_file: Path | None) -> bool:
     """
     mapping = Mapping() if mapping_file is None else load_mapping(mapping_file)
     for candidate in discover(paths, SIDES, mapping)[0]:
-        if _is_log_of(candidate.place, CONTROLS, mapping):
+        if _is_log_of(candidate.place, CAR_CONTROLS, mapping):
             return False
         if _is_log_of(candidate.place, SIDES, mapping):
             return True
-    return _are_pairs(paths, SIDES, mapping) and not _are_pairs(paths, CONTROLS, mapping)
+    return _are_pairs(paths, SIDES, mapping) and not _are_pairs(paths, CAR_CONTROLS, mapping)
 
 
 def _are_pairs(paths: Sequence[Path], controls: Sequence[str], mapping: Mapping) -> bool:

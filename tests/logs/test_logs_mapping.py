@@ -14,8 +14,9 @@ from kraft.errors import InputError
 from kraft.logs.guess import guess_commands
 from kraft.logs.log import Log
 from kraft.logs.mapping import Mapping, load_mapping
-from kraft.logs.reader import CONTROLS, heading, mapping_mismatch, read_logs
+from kraft.logs.reader import heading, mapping_mismatch, read_logs
 from kraft.logs.table import Table
+from kraft.vehicles import CAR_CONTROLS
 from kraft_cli.work.validate import check_file
 
 MADE = drive()
@@ -247,12 +248,12 @@ def test_an_unknown_control_is_said_alike_of_one_log_and_of_all(tmp_path: Path) 
     )
     table = Table("a.csv", "", WIDE, np.zeros(len(TIMES), np.int64))
     with pytest.raises(InputError) as error:
-        guess_commands([table], CONTROLS, said)
+        guess_commands([table], CAR_CONTROLS, said)
     assert [problem.path for problem in error.value.diagnostics] == [
         *(f"commands.controls.{n}" for n in ("throtle", "brake")),
         "dead_man.masks[0]",
     ]
-    assert mapping_mismatch("logs", [heading(table)], CONTROLS, said)[:3] == error.value.diagnostics
+    assert mapping_mismatch("logs", [heading(table)], CAR_CONTROLS, said)[:3] == error.value.diagnostics
 
 
 def test_validate_knows_a_mapping_file(tmp_path: Path) -> None:
