@@ -87,33 +87,12 @@ def packed(content: Any) -> str:
     return base64.b64encode(zlib.compress(text.encode(), 9)).decode()
 
 
-def unpacked(text: str) -> Any:
-    """JSON of a compressed text.
-
-    Raises:
-        ValueError: if it is none.
-    """
-    try:
-        return json.loads(zlib.decompress(base64.b64decode(text, validate=True)))
-    except zlib.error as error:
-        raise ValueError(f"is not compressed: {error}") from error
-
-
 def series(values: Floats, quantum: float, order: int = 1) -> list[Any]:
     """Series of finite numbers as ``[quantum, order, integers]``."""
     integers = np.rint(np.asarray(values, dtype=float) / quantum).astype(np.int64)
     for _ in range(order):
         integers = np.diff(integers, prepend=0)
     return [quantum, order, integers.tolist()]
-
-
-def values_of(series: Sequence[Any]) -> Floats:
-    """Numbers of a series."""
-    quantum, order, integers = series
-    values = np.asarray(integers, dtype=np.int64)
-    for _ in range(order):
-        values = np.cumsum(values)
-    return np.asarray(values * quantum, dtype=float)
 
 
 def _drive(spec: TrialSpec, result: TrialResult) -> dict[str, Any]:

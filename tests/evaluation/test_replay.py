@@ -12,10 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import fake_trials
 from support.evaluation import refused
+from support.replays import unpacked, values_of
 
 from kraft.errors import Code
 from kraft.evaluation.journal import REPLAYS, Journal, Replays, TrialRow
-from kraft.evaluation.replay import GRID, POINTS, Replay, packed, replay_of, series, unpacked, values_of
+from kraft.evaluation.replay import GRID, POINTS, Replay, packed, replay_of, series
 from kraft.trial.result import TrialSpec
 from ompl_ext.kernels.specialise import kernels
 from ompl_ext.obstacles import Polygon
@@ -140,5 +141,3 @@ def test_a_file_without_replays_has_none_and_a_damaged_line_is_refused(tmp_path:
     )
     with refused((f"{file}:2:1", Code.SYNTAX)):
         Replays(file)
-    with pytest.raises(ValueError, match="compressed"):
-        unpacked("YWJj")

@@ -19,10 +19,11 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 from support import fake_trials
+from support.replays import unpacked, values_of
 
 from kraft.evaluation import Evaluation, evaluate, evaluator
 from kraft.evaluation.journal import REPLAYS, Replays
-from kraft.evaluation.replay import packed, series, unpacked, values_of
+from kraft.evaluation.replay import packed, series
 from kraft.evaluation.report import write_report
 from kraft.evaluation.report.server import ReportServer
 from kraft_cli.work.run import run_command
