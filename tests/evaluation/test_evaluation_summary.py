@@ -16,10 +16,10 @@ from kraft.evaluation import labels, markdown, overview, summary, tables
 from kraft.evaluation.experiment import METHODS, Experiment, experiment_of, manifest_of
 from kraft.evaluation.journal import Key, Measured, TrialRow
 from kraft.evaluation.ompl_benchmark import write_benchmark
+from kraft.evaluation.paper import paper_row
 from kraft.evaluation.report.results import Manifest
 from kraft.evaluation.statistics import wilson
 from kraft.evaluation.suite import load_suite
-from kraft.evaluation.summary import paper_row
 from kraft.evaluation.table import totals
 from kraft.scenario import Score
 from kraft.trial.measures import Kept, Measures

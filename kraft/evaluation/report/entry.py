@@ -16,10 +16,11 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from kraft.evaluation.journal import Key, Replays, TrialRow
+from kraft.evaluation.paper import PaperRow
 from kraft.evaluation.report.elements import Content, element, number, script_data, svg
 from kraft.evaluation.report.results import Results
 from kraft.evaluation.statistics import wilson
-from kraft.evaluation.summary import PaperRow, Result
+from kraft.evaluation.summary import Result
 from kraft.scenario import Box, Circle, Goal, Obstacle, OccupancyMap, Polygon, Scenario, Start, Truth
 from kraft.scenario.truth import Tilt
 from kraft.text import counted

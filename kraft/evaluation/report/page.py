@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from kraft.evaluation.journal import TrialRow, success_times
+from kraft.evaluation.paper import PaperRow
 from kraft.evaluation.report.elements import NO_VALUE, Content, document, element, hint, outcome_legend, stacked
 from kraft.evaluation.report.entry import (
     floor_plan,
@@ -30,7 +31,7 @@ from kraft.evaluation.report.methods import Shown, measures_table, methods
 from kraft.evaluation.report.overview import causes, chip, overview, settings_of
 from kraft.evaluation.report.results import VERSIONS, Results
 from kraft.evaluation.report.sweeps import sweep_pictures, sweeps
-from kraft.evaluation.summary import MANY, PaperRow, Result
+from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted, decimals
 
 LISTED: Final = 200  # unsuccessful trials of a scenario that are listed
