@@ -11,8 +11,9 @@ from typing import Any, Final
 
 from kraft.errors import Code, InputError
 from kraft.evaluation import journal, report
-from kraft.evaluation.experiment import MANIFEST, Experiment, check_same_manifest, manifest_of, read_manifest
+from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.journal import Journal, Key, TrialRow, read_journal
+from kraft.evaluation.manifest import MANIFEST, check_same_manifest, manifest_of, read_manifest
 from kraft.evaluation.ompl_benchmark import write_benchmark
 from kraft.evaluation.report import CommandLine, Results
 from kraft.evaluation.summary import FILE as SUMMARY

@@ -1,4 +1,4 @@
-"""Summary of an evaluation: the columns of the paper's tables with intervals and tests, and the paper's own results."""
+"""Summary of an evaluation: the columns of the paper's tables with intervals and tests."""
 
 from __future__ import annotations
 

@@ -11,8 +11,9 @@ from typing import Any, Final
 from kraft.config.overrides import parse_overrides, parse_sweeps
 from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.evaluation.evaluator import Evaluation, Observer, check_arguments, evaluate
-from kraft.evaluation.experiment import MANIFEST, METHODS, SUITE, TRIALS, read_manifest
+from kraft.evaluation.experiment import METHODS, SUITE, TRIALS
 from kraft.evaluation.folder import check_exists, default_path
+from kraft.evaluation.manifest import MANIFEST, read_manifest
 from kraft_cli.work.run import run_command
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.errors import Code, InputError
-from kraft.evaluation.experiment import MANIFEST, Experiment, manifest_of
+from kraft.evaluation.experiment import Experiment
+from kraft.evaluation.manifest import MANIFEST, manifest_of
 from kraft.files import check_writable, new_folder, write_csv, write_json, write_whole
 from kraft.trial.result import TrialResult, cycle_content
 from ompl_ext.vehicle import Vehicle

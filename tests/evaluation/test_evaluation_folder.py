@@ -17,8 +17,9 @@ from support.paths import ROOT
 
 from kraft.errors import Code, InputError
 from kraft.evaluation import Evaluation, Observer, TrialRow, evaluate, folder
-from kraft.evaluation.experiment import check_same_manifest, experiment_of, manifest_of
+from kraft.evaluation.experiment import experiment_of
 from kraft.evaluation.journal import Journal, read_journal
+from kraft.evaluation.manifest import check_same_manifest, manifest_of
 from kraft.vehicles.load import load_vehicle
 
 SCENARIOS, METHODS = ("turns", "slip"), ("oneshot-openloop", "kraft")

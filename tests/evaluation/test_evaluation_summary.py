@@ -13,8 +13,9 @@ from support.evaluation import KEYS
 
 from kraft.config import bundled
 from kraft.evaluation import labels, markdown, overview, summary, tables
-from kraft.evaluation.experiment import METHODS, Experiment, experiment_of, manifest_of
+from kraft.evaluation.experiment import METHODS, Experiment, experiment_of
 from kraft.evaluation.journal import Key, Measured, TrialRow
+from kraft.evaluation.manifest import manifest_of
 from kraft.evaluation.ompl_benchmark import write_benchmark
 from kraft.evaluation.paper import paper_row
 from kraft.evaluation.report.results import Manifest

@@ -20,8 +20,9 @@ from support.paths import ROOT
 
 from kraft.driving.messages import ContingencyOrigin
 from kraft.evaluation import Evaluation, evaluate
-from kraft.evaluation.experiment import experiment_of, manifest_of
+from kraft.evaluation.experiment import experiment_of
 from kraft.evaluation.journal import trial_row
+from kraft.evaluation.manifest import manifest_of
 from kraft.evaluation.report import Results, page, read_results
 from kraft.evaluation.report import results as of_report
 from kraft.evaluation.report.sweeps import Estimate, label_of, nice_ticks, sweep_pictures, sweeps

@@ -12,8 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation import journal
-from kraft.evaluation.experiment import MANIFEST, Experiment, read_manifest, scenario_content
+from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.journal import Key, Replays, TrialRow
+from kraft.evaluation.manifest import MANIFEST, read_manifest, scenario_content
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import RowName, Summary, recorded_wall, tabulate, wall_of
 from kraft.scenario import Scenario, Score, load_scenario
