@@ -122,7 +122,7 @@ class _Drive:
             estimate = believed.copy()
             estimate[:3] = truth - self._lie(truth)
             cycle = replanner.step(Estimate(float(number), estimate, 0.0), current)
-            stops += cycle.kind == ReferenceKind.CONTINGENCY
+            stops += cycle.kind is ReferenceKind.CONTINGENCY
             if number > 0 and self._radio.random() < self._loss:
                 predicted = current.reference_at(float(number))
             else:
@@ -135,7 +135,7 @@ class _Drive:
 
     def _predicted(self, cycle: Cycle) -> Reference:
         """What SAFETY was asked about: the closed loop's prediction for a plan, the manoeuvre for a contingency."""
-        if cycle.kind == ReferenceKind.CONTINGENCY:
+        if cycle.kind is ReferenceKind.CONTINGENCY:
             return cycle.reference
         return replace(cycle.reference, times=cycle.predicted.times, states=cycle.predicted.states)
 

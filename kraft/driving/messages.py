@@ -236,7 +236,6 @@ class Cycle:
     number: int
     time: float
     speed: float
-    kind: str
     reason: str
     cost_to_goal: float
     clearance: float
@@ -260,6 +259,11 @@ class Cycle:
     proposed: bool = True
     blocked: tuple[Polygon, ...] = ()
     held: tuple[float, float] | None = None
+
+    @property
+    def kind(self) -> ReferenceKind:
+        """Whether a plan or a contingency is committed."""
+        return self.reference.kind
 
     @property
     def commitment(self) -> Commitment:
@@ -292,7 +296,6 @@ def _after_loss(cycle: Cycle, on_board: Cycle) -> Cycle:
     assert stopping is not None, "its motion is known"
     return replace(
         cycle,
-        kind=contingency.kind,
         reason="the message was lost",
         reference=contingency,
         contingency=contingency,

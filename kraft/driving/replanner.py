@@ -474,7 +474,6 @@ class Replanner:
             number=self._number,
             time=cycle_start,
             speed=float(estimate.state[vehicle.rest_indices[0]]),
-            kind=decision.reference.kind,
             reason=decision.reason,
             cost_to_goal=plan.total_cost if plan else math.inf,
             clearance=self.dirt.least_distance(poses),

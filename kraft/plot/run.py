@@ -161,7 +161,7 @@ def _legend_entries(
     drive: DrivenTrajectory, line: LineCollection, hidden: Sequence[HiddenFeature]
 ) -> list[LegendEntry]:
     entries = [LegendEntry("planned in each cycle; planned speed", "line", CYCLE, 1.2)]
-    if any(cycle.kind == ReferenceKind.CONTINGENCY for cycle in drive.result.cycles):
+    if any(cycle.kind is ReferenceKind.CONTINGENCY for cycle in drive.result.cycles):
         entries.append(LegendEntry("contingency", "dashes", WARNING, 1.6))
     entries += [
         LegendEntry("estimated speed", "line", ESTIMATED, 1.2),
@@ -260,7 +260,7 @@ def draw_run_panel(axes: Axes, panel: Panel, drive: DrivenTrajectory, *, last: b
 def _draw_cycles(axes: Axes, result: TrialResult) -> None:
     ends = [*(cycle.time for cycle in result.cycles[1:]), result.time]
     for cycle, end in zip(result.cycles, ends, strict=True):
-        if cycle.kind == ReferenceKind.CONTINGENCY:
+        if cycle.kind is ReferenceKind.CONTINGENCY:
             axes.axvspan(cycle.time, end, color=WARNING_PALE, linewidth=0, zorder=0)
         axes.axvline(cycle.time, color=RULE, linewidth=0.5, zorder=0.5)
 
@@ -288,7 +288,7 @@ def draw_references(axes: Axes, frame: Frame, vehicle: Vehicle, result: TrialRes
         reference = cycle.reference
         motion = PoseTrajectory.of(reference.times, reference.states, vehicle)
         begin = max(cycle.time, reference.start)
-        planned = cycle.kind == ReferenceKind.PLAN
+        planned = cycle.kind is ReferenceKind.PLAN
         colour = CYCLE if planned else WARNING
         if min(end, reference.end) > begin:
             path = frame.points(motion.between(begin, min(end, reference.end))[:, :2])

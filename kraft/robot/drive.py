@@ -22,7 +22,7 @@ from typing import Any, Final
 from kraft.driving.control import make_controller, needs_map
 from kraft.driving.estimation import make_estimator
 from kraft.driving.estimation.adaptive import AdaptiveEstimator
-from kraft.driving.messages import Cycle, Estimate
+from kraft.driving.messages import Cycle, Estimate, ReferenceKind
 from kraft.driving.method import Method, Oracle
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
@@ -80,7 +80,7 @@ class Decisions:
     def add(self, cycle: Cycle) -> None:
         """Count a cycle."""
         self.planning_ms.append(cycle.planning_ms)
-        self.contingencies += cycle.kind == "contingency"
+        self.contingencies += cycle.kind is ReferenceKind.CONTINGENCY
         self.last = cycle.time
 
 

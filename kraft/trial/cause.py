@@ -84,7 +84,7 @@ def collision_cause(
     if realtime and sent.missed:
         text = f"planning for cycle {sent.number} took {sent.planning_ms:.0f} ms, which was too long"
         return Cause(kind=CauseKind.DEADLINE_MISSED, text=text)
-    contingency = cycle.kind == ReferenceKind.CONTINGENCY
+    contingency = cycle.kind is ReferenceKind.CONTINGENCY
     if contingency and cycle.contingency_origin is ContingencyOrigin.EMERGENCY:
         text = f"cycle {cycle.number} committed a contingency that nothing verified: {cycle.reason}"
         return Cause(kind=CauseKind.CONTINGENCY_TOO_LATE, text=text)
@@ -118,7 +118,7 @@ def timeout_cause(
     missed = sum(cycle.missed for cycle in late) if realtime else 0
     if 2 * missed > len(late):
         return Cause(kind=CauseKind.DEADLINE_MISSED, text=f"planning for {missed} {of} took too long")
-    stopped = [cycle for cycle in late if cycle.kind == ReferenceKind.CONTINGENCY]
+    stopped = [cycle for cycle in late if cycle.kind is ReferenceKind.CONTINGENCY]
     if 2 * len(stopped) > len(late):
         refused = sum(cycle.proposed for cycle in stopped)
         if 2 * refused > len(stopped):
@@ -158,7 +158,7 @@ def estimate_errors(
 
 def _unfinished_plan(cycle: Cycle, steps: Sequence[Step], footprint: Footprint, pose: Sequence[int]) -> Cause:
     """Cause of the timeout of a plan that is followed to its end, without others after it."""
-    if cycle.kind == ReferenceKind.CONTINGENCY:
+    if cycle.kind is ReferenceKind.CONTINGENCY:
         return Cause(kind=CauseKind.NO_PLAN, text=cycle.reason)
     after = next((step for step in steps if step.time >= cycle.reference.end), steps[-1])
     expected = cycle.reference.state_at(after.time)[list(pose)]

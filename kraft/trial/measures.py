@@ -212,7 +212,7 @@ def measure(
         if predicted.delta is not None:
             delta = np.interp(times, predicted.times, predicted.delta)
             kept = Kept(ticks=len(times), held=int((deviation <= delta).sum()), delta_sum_m=float(delta.sum()))
-            if span.kind == ReferenceKind.PLAN:
+            if span.kind is ReferenceKind.PLAN:
                 plans = pooled_clearance((plans, kept))
             else:
                 contingencies = pooled_clearance((contingencies, kept))
@@ -254,7 +254,7 @@ def _point(poses: Matrix, x: float, y: float) -> Matrix:
 class _Span(NamedTuple):
     """Ticks `first` to before `last` in which a commitment of the time `committed` (s) was tracked."""
 
-    kind: str
+    kind: ReferenceKind
     committed: float
     predicted: PredictedMotion
     first: int

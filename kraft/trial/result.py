@@ -109,7 +109,7 @@ class TrialResult:
     @property
     def contingencies(self) -> int:
         """Number of cycles that committed the contingency instead of a plan."""
-        return sum(cycle.kind == ReferenceKind.CONTINGENCY for cycle in self.cycles)
+        return sum(cycle.kind is ReferenceKind.CONTINGENCY for cycle in self.cycles)
 
     @property
     def missed(self) -> int:

@@ -238,7 +238,7 @@ def draw_cycle(pen: Pen, cycle: Cycle, vehicle: Vehicle) -> None:
     """Draw everything that does not change during a cycle."""
     if cycle.tree is not None:
         _draw_tree(pen, cycle.tree, vehicle)
-    planned = cycle.kind == ReferenceKind.PLAN
+    planned = cycle.kind is ReferenceKind.PLAN
     predicted = poses_of(cycle.predicted.states, vehicle)[:, :2]
     pale = PREDICTED if planned else CONTINGENCY_PALE
     pen.stroke(predicted, vehicle.footprint.width, PREDICTED_HEIGHT, colour(pale))

@@ -95,7 +95,7 @@ class Overlay:
         """Draw plan or contingency, and the reason for it."""
         if snapshot.cycle is None:
             return
-        planned = snapshot.cycle.kind == ReferenceKind.PLAN
+        planned = snapshot.cycle.kind is ReferenceKind.PLAN
         x, foot = MARGIN + 4 * COLUMN + 12, self._height - BAND
         text = "PLAN" if planned else "CONTINGENCY"
         fill = PLAN if planned else CONTINGENCY

@@ -23,10 +23,9 @@ def cycle(number: int, **changes: Any) -> Cycle:
     """A cycle of 1 s, along x at 1 m/s, with 0.1 m of clearance."""
     times = number + np.linspace(0.0, 1.0, 11)
     states = np.column_stack([times, np.zeros((11, 3))])
-    kind = changes.get("kind", PLAN)
-    reference = Reference(kind, times, states, np.zeros((10, 2)), np.zeros(2))
+    reference = Reference(changes.pop("kind", PLAN), times, states, np.zeros((10, 2)), np.zeros(2))
     fields: dict[str, Any] = {
-        "number": number, "time": float(number), "speed": 1.0, "kind": kind, "reason": "", "cost_to_goal": 5.0,
+        "number": number, "time": float(number), "speed": 1.0, "reason": "", "cost_to_goal": 5.0,
         "clearance": 0.1, "iterations": 100, "nodes": 50, "retained": 0, "planning_ms": 4.0, "missed": False,
         "reference": reference, "contingency": None, "predicted": PredictedMotion(times, states, 0.1),
         "decided": float(number),
