@@ -55,14 +55,14 @@ class TrackedContingency:
         return self.predicted.slack >= 0.0
 
     @property
-    def slack(self) -> int:
+    def rounded_slack(self) -> int:
         """Least slack in 1 / RESOLUTION m."""
-        return round(self.predicted.slack * RESOLUTION)
+        return _rounded(self.predicted.slack)
 
     @property
     def rank(self) -> tuple[bool, float, int, float]:
         """Sort key: verified, the lowest impact speed, the largest least slack, the earliest standstill."""
-        return self.is_verified, -self.impact_speed, self.slack, -float(self.predicted.times[-1])
+        return self.is_verified, -self.impact_speed, self.rounded_slack, -float(self.predicted.times[-1])
 
 
 class ContingencyRanking:
@@ -79,10 +79,10 @@ class ContingencyRanking:
 
         Candidates are all manoeuvres, the contingency `in_hand`, and those that follow one of the `plans` first.
         """
-        bound = self._rounded(np.asarray(state)[None, :])  # all candidates begin here
+        bound = self._rounded_slack(np.asarray(state)[None, :])  # all candidates begin here
         found: TrackedContingency | None = None
         for candidates in (self._immediate(state, time, in_hand), self._along(state, time, plans)):
-            if found is None or found.slack < bound:
+            if found is None or found.rounded_slack < bound:
                 found = self._better(found, list(candidates), state, time, bound)
         assert found is not None, "a vehicle has manoeuvres"
         return found if found.is_verified else replace(found, origin=ContingencyOrigin.EMERGENCY)
@@ -91,10 +91,10 @@ class ContingencyRanking:
         self, found: TrackedContingency | None, candidates: list[_Candidate], state: Floats, time: float, bound: int
     ) -> TrackedContingency | None:
         """Best of `found` and of the candidates; only those are tracked that can be better."""
-        for count, candidate in enumerate(sorted(candidates, key=lambda each: (-each.slack, each.end))):
+        for count, candidate in enumerate(sorted(candidates, key=lambda each: (-each.rounded_slack, each.end))):
             if found is not None and found.is_verified:
-                beaten = candidate.slack + TRACKING * RESOLUTION < found.slack
-                if beaten or found.slack >= bound or count >= PREDICTIONS:
+                beaten = candidate.rounded_slack + TRACKING * RESOLUTION < found.rounded_slack
+                if beaten or found.rounded_slack >= bound or count >= PREDICTIONS:
                     break
             elif count >= 2 * PREDICTIONS:
                 break
@@ -112,17 +112,17 @@ class ContingencyRanking:
         speeds = np.abs(coarse[:, self._dirt.vehicle.rest_indices[0]])
         return TrackedContingency(reference, origin, predicted, float(speeds[hits.argmax()]) if hits.any() else 0.0)
 
-    def _rounded(self, states: Matrix) -> int:
-        return round(least_slack(self._dirt, states) * RESOLUTION)
+    def _rounded_slack(self, states: Matrix) -> int:
+        return _rounded(least_slack(self._dirt, states))
 
     def _immediate(self, state: Floats, time: float, in_hand: Reference | None) -> Iterator[_Candidate]:
         """All manoeuvres, and the contingency in hand."""
         for number, states in enumerate(self._dirt.manoeuvres(state)):
             build = partial(self._manoeuvre, number, time, states)
-            yield _Candidate(self._rounded(states), self._end(time, states), ContingencyOrigin.SAFE, build)
+            yield _Candidate(self._rounded_slack(states), self._end(time, states), ContingencyOrigin.SAFE, build)
         if in_hand is not None:
             left = in_hand.states[in_hand.times >= min(time, in_hand.end)]
-            yield _Candidate(self._rounded(left), in_hand.end, ContingencyOrigin.IN_HAND, lambda: in_hand)
+            yield _Candidate(self._rounded_slack(left), in_hand.end, ContingencyOrigin.IN_HAND, lambda: in_hand)
 
     def _along(self, state: Floats, time: float, plans: Sequence[Reference]) -> Iterator[_Candidate]:
         """Contingencies that follow a plan first; they do not move a vehicle that stands."""
@@ -132,12 +132,12 @@ class ContingencyRanking:
             for leaves in (time + duration for duration in FOLLOWED if time + duration < plan.end):
                 _, followed, _ = _part(plan, time, leaves)
                 for number, states in enumerate(self._dirt.manoeuvres(followed[-1])):
-                    slack = self._rounded(np.vstack([followed, states]))
+                    slack = self._rounded_slack(np.vstack([followed, states]))
                     build = partial(self._after, plan, time, number, leaves, states)
                     yield _Candidate(slack, self._end(leaves, states), ContingencyOrigin.PLAN_THEN_STOP, build)
             creeping = self._creeping(state, time, plan)
             if creeping is not None:
-                slack = self._rounded(creeping.states)
+                slack = self._rounded_slack(creeping.states)
                 yield _Candidate(slack, creeping.end, ContingencyOrigin.CREEPING, partial(replace, creeping))
 
     def _end(self, time: float, states: Matrix) -> float:
@@ -189,10 +189,14 @@ class ContingencyRanking:
 class _Candidate:
     """Contingency before it is tracked: least slack in the model (in 1 / RESOLUTION m), end (s), origin, reference."""
 
-    slack: int
+    rounded_slack: int
     end: float
     origin: ContingencyOrigin
     reference: Callable[[], Reference]
+
+
+def _rounded(slack: float) -> int:
+    return round(slack * RESOLUTION)
 
 
 def _part(plan: Reference, begin: float, end: float) -> tuple[Floats, Matrix, Matrix]:

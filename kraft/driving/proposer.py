@@ -389,7 +389,14 @@ class Proposer:
         reason = "" if plan is not None else _failure_reason(progress)
         tree = dirt.tree() if self._keep_trees else None
         return Proposal(
-            plan, reason, progress.iterations, progress.nodes, progress.retained, 0.0, False, lost, refused, tree
+            plan,
+            reason,
+            iterations=progress.iterations,
+            nodes=progress.nodes,
+            retained=progress.retained,
+            lost=lost,
+            switch_refused=refused,
+            tree=tree,
         )
 
     def _choose(self, dirt: DirtSolver, retained: Plan | None) -> tuple[Plan | None, bool]:

@@ -63,7 +63,7 @@ def test_the_best_is_committed_whatever_its_origin(state: Floats, monkeypatch: p
     assert len(each) >= 5
     assert best.is_verified == any(one.is_verified for one in each)
     if best.is_verified:
-        assert best.slack >= max(one.slack for one in each if one.is_verified) - 1
+        assert best.rounded_slack >= max(one.rounded_slack for one in each if one.is_verified) - 1
     else:
         assert best.origin is ContingencyOrigin.EMERGENCY
 
@@ -157,7 +157,7 @@ def test_the_contingency_in_hand_is_kept_where_nothing_else_is_safe() -> None:
     each = {one.origin for one in all_tracked(found, state, in_hand, [])}
     assert ContingencyOrigin.IN_HAND in each
     best = ranking(found).best(state, 2.0, in_hand, [])
-    assert best.slack >= max(one.slack for one in all_tracked(found, state, in_hand, [])) - 1
+    assert best.rounded_slack >= max(one.rounded_slack for one in all_tracked(found, state, in_hand, [])) - 1
 
 
 def test_a_contingency_without_clearance_is_an_emergency() -> None:
