@@ -1,4 +1,4 @@
-"""References for the controller: of plans and of manoeuvres, with the control that holds the vehicle at their end."""
+"""References for the controller: of plans, manoeuvres and standing, with the control that holds a vehicle then."""
 
 from __future__ import annotations
 
@@ -48,11 +48,21 @@ def manoeuvre_reference(vehicle: Vehicle, number: int, times: Floats, states: Ma
     return Reference(ReferenceKind.CONTINGENCY, times, states, controls, rest, Stop(number, float(times[0])))
 
 
+def standing_reference(vehicle: Vehicle, state: Floats, time: float) -> Reference:
+    """Reference that holds a vehicle in a state (nx,) from `time` s on."""
+    return manoeuvre_reference(vehicle, 0, np.array([time]), state[np.newaxis])
+
+
 def holding_control(vehicle: Vehicle, state: Floats) -> Floats:
     """Control (nu,) that holds a vehicle that stands: on level ground zero, against a force the throttle against it.
 
     It is the first manoeuvre's at a speed of 0: brakes that stay on would push a standing car backwards.
     """
-    standing = np.array(state, dtype=float)
-    standing[list(vehicle.rest_indices)] = 0.0
-    return stop_control(vehicle, standing, 0) + 0.0  # without negative zeros
+    return stop_control(vehicle, at_rest(vehicle, state), 0) + 0.0  # without negative zeros
+
+
+def at_rest(vehicle: Vehicle, state: Floats) -> Floats:
+    """State (nx,) of a vehicle at rest where it is in `state`."""
+    resting = np.array(state, dtype=float)
+    resting[list(vehicle.rest_indices)] = 0.0
+    return resting

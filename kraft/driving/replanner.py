@@ -27,13 +27,12 @@ from kraft.driving.messages import (  # fmt: skip
     PredictedMotion,
     Reference,
     ReferenceKind,
-    Stop,
     Uncertainty,
 )
 from kraft.driving.method import PlannerSettings
 from kraft.driving.prediction import ClosedLoopPredictor, least_slack, required_clearance
 from kraft.driving.proposer import RECOVERY_MARGIN, Proposal, Proposer
-from kraft.driving.references import contingency_reference, holding_control, plan_reference
+from kraft.driving.references import at_rest, contingency_reference, plan_reference, standing_reference
 from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import VehicleModel, model_of
 from ompl_ext.arrays import Floats
@@ -139,7 +138,7 @@ class Replanner:
             self._set_bound(self._calibration.bound(uncertainty))
         self._proposal = self._proposer.propose(0, state, None)
         self._proposer.set_settings(self._settings)
-        return Commitment(self._standing(state, 0.0))
+        return Commitment(standing_reference(self.dirt.vehicle, state, 0.0))
 
     @property
     def next_step(self) -> float:
@@ -205,7 +204,7 @@ class Replanner:
         held = self._look_for_blockage(estimate, current)
         cycle_start = self._number * self._settings.cycle + self._cycle_offset
         if self._stands(estimate, current):
-            estimate = replace(estimate, state=self._at_rest(estimate.state))
+            estimate = replace(estimate, state=at_rest(self.dirt.vehicle, estimate.state))
         root, current = self._root(estimate, cycle_start, current)
         self._relax(root)
         decision = self._decide(root, cycle_start, estimate, current)
@@ -281,11 +280,6 @@ class Replanner:
 
     def _is_resting(self, state: Floats) -> bool:
         return bool(self.dirt.safety.is_resting(self.dirt.vehicle, state))
-
-    def _at_rest(self, state: Floats) -> Floats:
-        state = state.copy()
-        state[list(self.dirt.vehicle.rest_indices)] = 0.0
-        return state
 
     def _relax(self, root: Floats) -> None:
         """Lower the clearance for a vehicle with `recover` that stands with less, or is about to leave such a place.
@@ -405,17 +399,12 @@ class Replanner:
 
         That was verified for this place; a new estimate of the place is not.
         """
-        root, tracked = self._at_rest(root), current.reference_at(cycle_start)
+        root, tracked = at_rest(self.dirt.vehicle, root), current.reference_at(cycle_start)
         over = tracked.kind is ReferenceKind.CONTINGENCY and cycle_start >= tracked.end
-        standing = tracked if over else self._standing(root, cycle_start)
+        standing = tracked if over else standing_reference(self.dirt.vehicle, root, cycle_start)
         times = cycle_start + np.array([0.0, self._settings.cycle])
         predicted = PredictedMotion(times, np.vstack([root, root]), least_slack(self.dirt, root[None, :], 0.0))
         return Decision(standing, predicted, reason, None, standing, ContingencyOrigin.STANDING, predicted)
-
-    def _standing(self, state: Floats, time: float) -> Reference:
-        vehicle = self.dirt.vehicle
-        no_controls, rest = np.zeros((0, len(vehicle.controls))), holding_control(vehicle, state)
-        return Reference(ReferenceKind.CONTINGENCY, np.array([time]), state[None, :], no_controls, rest, Stop(0, time))
 
     def _best_contingency(
         self, ranking: ContingencyRanking, root: Floats, time: float, stored: Reference | None, current: Commitment

@@ -16,7 +16,7 @@ from kraft.driving.estimation.adaptive import AdaptiveEstimator, Learned
 from kraft.driving.messages import Commitment, Estimate, Observation, Reference, ReferenceKind
 from kraft.driving.method import Oracle
 from kraft.driving.on_board import OnBoard
-from kraft.driving.references import manoeuvre_reference
+from kraft.driving.references import at_rest, standing_reference
 from kraft.driving.vehicle_model import model_of
 from kraft.robot.command import CommandCodec
 from kraft.robot.inputs import Inputs
@@ -147,10 +147,9 @@ class Tracker:
         if self._stands_after is not stop:
             if abs(estimate.state[self.model.v]) > STANDSTILL:
                 return stop
-            state = np.array(estimate.state, dtype=float)
-            state[list(self.model.vehicle.rest_indices)] = 0.0
-            here = manoeuvre_reference(self.model.present_vehicle, 0, np.array([estimate.time]), state[np.newaxis])
-            self._stands_after, self._stand = stop, here
+            vehicle = self.model.present_vehicle
+            self._stands_after = stop
+            self._stand = standing_reference(vehicle, at_rest(vehicle, estimate.state), estimate.time)
         return self._stand
 
     @property

@@ -15,6 +15,7 @@ from kraft.driving.levels import HYSTERESIS, STEADY
 from kraft.driving.messages import Commitment, Estimate, PredictedMotion, ReferenceKind, Uncertainty
 from kraft.driving.method import CalibratedBound
 from kraft.driving.proposer import Proposal
+from kraft.driving.references import standing_reference
 from kraft.driving.replanner import Replanner
 from ompl_ext.vehicle import OpenLoopErrors
 
@@ -191,7 +192,10 @@ def test_the_first_plan_keeps_the_bound_of_the_estimate_at_the_start() -> None:
     needed = BoundCalibration(SHARES, mushr()).bound(uncertainty()).at(plan.trajectory[:, 3], plan.times)
     assert (subject.dirt.exact.distances(plan.trajectory[:, :3]) >= needed - 1e-6).all()
     estimate = Estimate(0.0, start(), 0.0, uncertainty=uncertainty())
-    assert subject.decide(estimate, Commitment(subject._standing(start(), 0.0))).kind is ReferenceKind.PLAN
+    assert (
+        subject.decide(estimate, Commitment(standing_reference(subject.dirt.vehicle, start(), 0.0))).kind
+        is ReferenceKind.PLAN
+    )
 
 
 def test_the_first_plan_has_a_budget_of_its_own() -> None:
