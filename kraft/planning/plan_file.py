@@ -302,9 +302,9 @@ class PlanFile(StrictModel):
     """duration of the plan, s"""
     cost_to_go: NonNegative
     """estimated time from the end of the plan to the goal, s"""
-    durations: Annotated[tuple[Positive, ...], Field(min_length=1)]
-    """duration of each edge [n], s"""
-    controls: Table
+    durations: tuple[Positive, ...]
+    """duration of each edge [n], s; none if the start is in the goal"""
+    controls: tuple[Row, ...]
     """control of each edge [n, nu]"""
     states: Table
     """states between the edges [n + 1, nx]"""
@@ -327,7 +327,10 @@ class PlanFile(StrictModel):
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
         """Check that the tables have the sizes that their keys require of each other, and that the times agree."""
-        edges, samples = _length(content.get("durations")), _length(content.get("times"))
+        durations, samples = content.get("durations"), _length(content.get("times"))
+        edges = len(durations) if isinstance(durations, tuple) else None
+        if edges and content.get("controls") == ():
+            yield refuse("is empty", f"expected {counted(edges, 'row')}, as many as durations", ("controls",))
         yield from _wrong_rows(content, ("controls",), edges, "durations")
         yield from _wrong_rows(content, ("states",), None if edges is None else edges + 1, "durations, and one more")
         yield from _wrong_rows(content, ("trajectory",), samples, "times")
@@ -343,8 +346,8 @@ class PlanFile(StrictModel):
         """The plan as arrays."""
         return Plan(
             np.array(self.states),
-            np.array(self.controls),
-            np.array(self.durations),
+            np.array(self.controls, dtype=float).reshape(len(self.controls), _width(self.controls) or 0),
+            np.array(self.durations, dtype=float),
             np.array(self.times),
             np.array(self.trajectory),
             self.cost,
@@ -407,7 +410,7 @@ def _wrong_width(
 
 def _wrong_times(durations: object, times: object, cost: object) -> Iterator[PydanticCustomError]:
     """Check that the times increase from 0 and end with the durations and the cost."""
-    if not (_numbers(durations) and _numbers(times)):
+    if not (_numbers(durations) and _numbers(times) and times):
         return
     if times[0] != 0.0 or not all(a < b for a, b in pairwise(times)):
         yield refuse("do not increase from 0", "expected the times of the trajectory's states", ("times",))
@@ -422,5 +425,5 @@ def _wrong_times(durations: object, times: object, cost: object) -> Iterator[Pyd
 
 
 def _numbers(values: object) -> TypeGuard[tuple[float, ...]]:
-    """Whether a value is a list of numbers and not empty."""
-    return isinstance(values, tuple) and bool(values) and all(type(value) in (int, float) for value in values)
+    """Whether a value is a list of numbers."""
+    return isinstance(values, tuple) and all(type(value) in (int, float) for value in values)

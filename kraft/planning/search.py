@@ -41,6 +41,10 @@ class Previous:
             InputError: if it is not.
         """
         plan = self.plan
+        if len(plan.durations) == 0:
+            raise InputError.of(
+                self.origin, "the plan has no edges: it began in the goal", "expected a plan that moves"
+            )
         sizes, required = (
             (plan.trajectory.shape[1], plan.controls.shape[1]),
             (len(vehicle.state), len(vehicle.controls)),

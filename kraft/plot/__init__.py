@@ -200,6 +200,8 @@ def _legend_entries(subject: PlanPicture, lines: LineCollection | None) -> list[
 
 def panels_of_plan(plan: Plan, vehicle: Vehicle, cycle: float) -> list[Panel]:
     """The speed, if the vehicle names one, and each control; the first cycle lasts `cycle` s."""
+    if len(plan.durations) == 0:  # it begins in the goal
+        return []
     panels = []
     if vehicle.rest:
         index, safe = vehicle.rest_indices[0], plan.contingency

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -46,7 +46,7 @@ from kraft.plot.style import (
     plot_style,
     write_picture,
 )
-from kraft.scenario import Task
+from kraft.scenario import Start, Task
 from kraft.simulation.appearance import HiddenFeature
 from kraft.trial.result import Outcome, TrialResult, outcome_text
 from kraft.vehicles import control_title
@@ -74,7 +74,7 @@ def plot_run(
         InputError: if the suffix is none of these or the file cannot be written.
     """
     picture_format(path)  # before the work, not after it
-    drive = DrivenTrajectory.of(replace(result, cycles=as_driven(result.cycles)))
+    drive = DrivenTrajectory.of(replace(result, cycles=as_driven(result.cycles)), task.start)
     notes = key_numbers(result, unknown)
     with plot_style():
         write_picture(path, _compose(drive, task, vehicle, title or f"{task.name} · {result.method}", notes, hidden))
@@ -188,15 +188,18 @@ NAMES: Final = {"patch": "other friction", "bump": "bump", "box": "can be pushed
 
 @dataclass(frozen=True)
 class DrivenTrajectory:
-    """True poses and speeds (n,) of a result at the ticks of the controller."""
+    """True poses and speeds (n,) of a result at the ticks of the controller; at least those at the start."""
 
     result: TrialResult
     motion: PoseTrajectory
     speeds: Floats
 
     @classmethod
-    def of(cls, result: TrialResult) -> DrivenTrajectory:
-        """Take the ticks of a result, which has at least one."""
+    def of(cls, result: TrialResult, start: Start) -> DrivenTrajectory:
+        """Take the ticks of a result, and the start of a trial that ended there and has none."""
+        if not result.steps:
+            pose = np.array([[start.x, start.y, start.heading]])
+            return cls(result, PoseTrajectory(np.zeros(1), pose), np.array([start.speed]))
         times = np.array([step.time for step in result.steps])
         poses = np.array([step.pose for step in result.steps])
         poses[:, 2] = np.unwrap(poses[:, 2])
@@ -204,8 +207,10 @@ class DrivenTrajectory:
 
 
 def panels_of_run(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list[Panel]:
-    """Panels of speed (true, estimated, planned), true clearance, and the commands."""
+    """Panels of speed (true, estimated, planned), true clearance, and the commands; none without a command."""
     steps, times = drive.result.steps, drive.motion.times
+    if not steps:
+        return []
     true: Style = {"color": INK, "linewidth": 1.3, "zorder": 3}
     speeds = [Curve(times, drive.speeds, true)]
     if vehicle.rest:
@@ -257,9 +262,14 @@ def draw_run_panel(axes: Axes, panel: Panel, drive: DrivenTrajectory, *, last: b
         axes.set_xlabel("time, s", labelpad=2)
 
 
+def _with_ends(result: TrialResult) -> Iterator[tuple[Cycle, float]]:
+    """Each cycle, with the time (s) at which the next one begins or the trial ends."""
+    ends = (*(cycle.time for cycle in result.cycles[1:]), result.time)
+    return zip(result.cycles, ends, strict=False)  # a trial that ends at its start has no cycle
+
+
 def _draw_cycles(axes: Axes, result: TrialResult) -> None:
-    ends = [*(cycle.time for cycle in result.cycles[1:]), result.time]
-    for cycle, end in zip(result.cycles, ends, strict=True):
+    for cycle, end in _with_ends(result):
         if cycle.kind is ReferenceKind.CONTINGENCY:
             axes.axvspan(cycle.time, end, color=WARNING_PALE, linewidth=0, zorder=0)
         axes.axvline(cycle.time, color=RULE, linewidth=0.5, zorder=0.5)
@@ -283,8 +293,7 @@ def draw_observations(axes: Axes, frame: Frame, result: TrialResult) -> None:
 
 def draw_references(axes: Axes, frame: Frame, vehicle: Vehicle, result: TrialResult) -> None:
     """Draw the part of each committed reference within its cycle, with a ring at each contingency."""
-    ends = [*(cycle.time for cycle in result.cycles[1:]), result.time]
-    for cycle, end in zip(result.cycles, ends, strict=True):
+    for cycle, end in _with_ends(result):
         reference = cycle.reference
         motion = PoseTrajectory.of(reference.times, reference.states, vehicle)
         begin = max(cycle.time, reference.start)

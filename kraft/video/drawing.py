@@ -60,7 +60,8 @@ class SnapshotRecorder:
         self._committed: list[Cycle] = []
         self._cycle: Cycle | None = None
         self._trail: list[tuple[float, float, float]] = []
-        self._estimate: Floats = np.zeros(3)
+        start = spec.scenario.start
+        self._estimate: Floats = np.array([start.x, start.y, start.heading])
 
     def on_cycle(self, cycle: Cycle) -> None:
         """Record a cycle; snapshots contain it from its start on."""
@@ -73,7 +74,7 @@ class SnapshotRecorder:
         return self.now(world)
 
     def now(self, world: TrueWorld) -> Snapshot:
-        """Snapshot of the world as it is; the estimate is that of the last tick."""
+        """Snapshot of the world as it is; the estimate is that of the last tick, or the start."""
         while self._committed and self._committed[0].time <= world.time + 1e-9:
             self._cycle = self._committed.pop(0)
         x, y, theta = map(float, world.pose)

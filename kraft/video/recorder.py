@@ -24,7 +24,7 @@ from kraft.files import write_whole
 from kraft.gl import check_video, check_view, offscreen_context
 from kraft.scenario import Bounds
 from kraft.simulation.floor_frame import Surface
-from kraft.simulation.true_world import TrueWorld
+from kraft.simulation.true_world import TrueWorld, world_of
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
@@ -80,12 +80,11 @@ class VideoRecorder:
     def on_step(self, world: TrueWorld, step: Step) -> None:
         """For `run_trial`; adds a picture of the world if a frame is due."""
         self._gl.make_current()  # a camera that renders has its own context
-        if self._renderer is None:
-            self._renderer, self._world = SceneRenderer(world, self._spec, SIZE, self._map_width, BAND), world
+        renderer = self._begun(world)
         snapshot = self._snapshots.on_step(world, step)
         due = round(world.time * self._file.fps) + 1 - self._file.frames
         if due > 0:
-            picture = self._overlay.over(self._renderer.picture(snapshot), snapshot)
+            picture = self._overlay.over(renderer.picture(snapshot), snapshot)
             for _ in range(due):
                 self._file.add(picture)
 
@@ -95,14 +94,23 @@ class VideoRecorder:
         Raises:
             InputError: if the file cannot be written.
         """
-        assert self._renderer is not None, "a trial has at least one tick"
-        assert self._world is not None, "a trial has at least one tick"
-        snapshot = self._snapshots.now(self._world)
         self._gl.make_current()
-        picture = self._overlay.over(self._renderer.picture(snapshot), snapshot, result)
+        spec = self._spec
+        world = self._world or world_of(
+            spec.scenario, spec.vehicle, spec.seed
+        )  # it has no tick if it starts in the goal
+        renderer = self._begun(world)
+        snapshot = self._snapshots.now(world)
+        picture = self._overlay.over(renderer.picture(snapshot), snapshot, result)
         for _ in range(round(HOLD * self._file.fps)):
             self._file.add(picture)
         self._file.finish()
+
+    def _begun(self, world: TrueWorld) -> SceneRenderer:
+        """Renderer of the world, made when it is first needed."""
+        if self._renderer is None:
+            self._renderer, self._world = SceneRenderer(world, self._spec, SIZE, self._map_width, BAND), world
+        return self._renderer
 
 
 def map_width(bounds: Bounds) -> int:

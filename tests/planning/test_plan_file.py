@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -58,6 +59,18 @@ def test_what_is_written_is_read_back_to_the_last_bit(
     assert read.contingency.slack == plan.contingency.slack
     assert np.array_equal(read.contingency.states, plan.contingency.states)
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["plan.json"]
+
+
+def test_a_plan_that_begins_in_the_goal_is_written_and_read(tmp_path: Path, task: Task, mushr: Vehicle) -> None:
+    there = dataclasses.replace(task, goal=dataclasses.replace(task.goal, center=(task.start.x, task.start.y)))
+    result = plan_task(there, mushr, Budget(iterations=10))
+    write_plan(tmp_path / "plan.json", there, mushr, result, ORIGIN)
+    read = read_plan(tmp_path / "plan.json")
+    assert (len(read.durations), len(read.controls), len(read.states), read.cost) == (0, 0, 1, 0.0)
+    (problem,) = raised(
+        lambda: plan_task(there, mushr, Budget(iterations=10), previous=Previous(read, 0.0, "plan.json"))
+    )
+    assert (problem.file, problem.problem) == ("plan.json", "the plan has no edges: it began in the goal")
 
 
 def test_it_says_everything_that_planning_again_needs(text: str, task: Task) -> None:
@@ -146,7 +159,8 @@ def test_what_is_not_a_plan_file_is_refused(content: str | bytes, expected: str,
     [
         ({"controls": ...}, ["controls missing"]),
         ({"durations": "long"}, ["durations type"]),
-        ({"durations": []}, ["durations value"]),
+        ({"durations": []}, ["cost mismatch", "controls mismatch", "states mismatch", "times mismatch"]),
+        ({"controls": []}, ["controls value"]),
         ({"states": [[1, 2, 3, 4], [1, 2]]}, ["states mismatch", "states[1] mismatch"]),
         ({"states": [[1, 2, 3, True]]}, ["states mismatch", "states[0][3] type"]),
         ({"states": [[1, 2, 3, "4"]]}, ["states mismatch", "states[0][3] type"]),

@@ -180,6 +180,13 @@ def test_the_first_cycle_of_a_plan_may_be_longer_than_the_plan(tmp_path: Path) -
     assert (tmp_path / "p.png").exists()
 
 
+def test_a_plan_that_begins_in_the_goal_is_drawn_without_panels() -> None:
+    at, none = np.array([[1.0, 0.5, 1.2, 0.0]]), np.zeros(0)
+    plan = Plan(at, np.zeros((0, len(CAR.controls))), none, np.zeros(1), at, 0.0, 0.0, True, None)
+    assert "speed, m/s" in texts(figure(MIXED, drive(), fan(1)))
+    assert "speed, m/s" not in texts(figure(MIXED, plan, fan(1)))
+
+
 def test_a_vehicle_without_heading_is_drawn_without_heading_marks(tmp_path: Path) -> None:
     plan = drive(SLED)
     plot_plan(tmp_path / "p.svg", TURNS, SLED, plan, fan(9, SLED))

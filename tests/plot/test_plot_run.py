@@ -67,23 +67,40 @@ def test_every_outcome_is_on_the_page(outcome: Outcome, driven: TrialResult) -> 
     collided = outcome is Outcome.COLLISION
     result = dataclasses.replace(driven, outcome=outcome, obstacle="left wall" if collided else None)
     with plot_style():
-        found = texts(_compose(DrivenTrajectory.of(result), MOVABLE.task(), MUSHR, "title", key_numbers(result), ()))
+        found = texts(
+            _compose(
+                DrivenTrajectory.of(result, MOVABLE.start), MOVABLE.task(), MUSHR, "title", key_numbers(result), ()
+            )
+        )
     assert ("collision with left wall" in found) == collided
     assert ("collision with\nleft wall" in found) == collided
     assert ("timeout" in found) == (outcome is Outcome.TIMEOUT)
+
+
+def test_a_trial_that_ends_at_its_start_is_drawn_without_panels(driven: TrialResult, tmp_path: Path) -> None:
+    result = dataclasses.replace(driven, outcome=Outcome.SUCCESS, time=0.0, steps=(), cycles=(), observations=())
+    plot_run(tmp_path / "run.png", MOVABLE.task(), MUSHR, result)
+    assert width(tmp_path / "run.png") > 0
+    assert panels_of_run(DrivenTrajectory.of(result, MOVABLE.start), MOVABLE.task(), MUSHR) == []
 
 
 def test_what_the_planner_did_not_know_is_said() -> None:
     slope = load_scenario("slope")
     result = run_trial(TrialSpec(slope, load_method("oneshot-openloop"), MUSHR, 0))
     unknown = slope.truth.in_words()
-    found = texts(_compose(DrivenTrajectory.of(result), slope.task(), MUSHR, "title", key_numbers(result, unknown), ()))
+    found = texts(
+        _compose(
+            DrivenTrajectory.of(result, MOVABLE.start), slope.task(), MUSHR, "title", key_numbers(result, unknown), ()
+        )
+    )
     assert {"not known to the planner", "a floor that leans 7.16 degrees"} <= set(found)
     assert "not known to the planner" not in key_numbers(result)
 
 
 def test_the_curves_are_those_of_the_drive(driven: TrialResult) -> None:
-    speed, clearance, throttle, steering = panels_of_run(DrivenTrajectory.of(driven), MOVABLE.task(), MUSHR)
+    speed, clearance, throttle, steering = panels_of_run(
+        DrivenTrajectory.of(driven, MOVABLE.start), MOVABLE.task(), MUSHR
+    )
     planned, estimated, true = speed.curves
     assert true.values == pytest.approx([step.speed for step in driven.steps])
     assert estimated.values == pytest.approx([step.estimate[3] for step in driven.steps])
@@ -95,13 +112,15 @@ def test_the_curves_are_those_of_the_drive(driven: TrialResult) -> None:
 
 def test_the_axes_of_commands_end_at_the_bounds_of_the_vehicle(driven: TrialResult) -> None:
     for name, expected in (("mushr", (0.0, 1.0)), ("mushr-drive", (-0.5, 1.0))):
-        *_, throttle, steering = panels_of_run(DrivenTrajectory.of(driven), MOVABLE.task(), load_vehicle(name))
+        *_, throttle, steering = panels_of_run(
+            DrivenTrajectory.of(driven, MOVABLE.start), MOVABLE.task(), load_vehicle(name)
+        )
         assert throttle.limits == expected
         assert steering.limits == (-0.38, 0.38)
 
 
 def test_the_key_shows_the_camera_as_the_map_does(driven: TrialResult) -> None:
-    drive = DrivenTrajectory.of(driven)
+    drive = DrivenTrajectory.of(driven, MOVABLE.start)
     line = driven_line(Frame.around(MOVABLE.bounds), drive, MUSHR.top_speed)
     (camera,) = (entry for entry in _legend_entries(drive, line, ()) if entry.text == "camera")
     assert (camera.kind, camera.colour) == ("dots", OBSERVATION)
@@ -112,7 +131,7 @@ def test_the_key_shows_the_camera_as_the_map_does(driven: TrialResult) -> None:
 
 
 def test_the_path_has_the_colours_of_its_speed(driven: TrialResult) -> None:
-    drive = DrivenTrajectory.of(driven)
+    drive = DrivenTrajectory.of(driven, MOVABLE.start)
     line = driven_line(Frame.around(MOVABLE.bounds), drive, MUSHR.top_speed)
     assert len(line.get_segments()) == len(driven.steps) - 1
     shades = np.asarray(line.get_array())
@@ -120,7 +139,7 @@ def test_the_path_has_the_colours_of_its_speed(driven: TrialResult) -> None:
 
 
 def test_long_drives_have_fewer_footprints(driven: TrialResult) -> None:
-    drive = DrivenTrajectory.of(driven)
+    drive = DrivenTrajectory.of(driven, MOVABLE.start)
     assert run_footprint_interval(drive) == 1
     longer = dataclasses.replace(drive.motion, times=drive.motion.times * 20)
     assert run_footprint_interval(dataclasses.replace(drive, motion=longer)) > 1

@@ -102,6 +102,18 @@ def test_the_last_picture_says_how_it_ended(video: tuple[Path, TrialResult]) -> 
     assert share_of(FAILURE, last) > 0.02
 
 
+def test_a_trial_that_ends_at_its_start_is_a_film_of_its_outcome(drawing: None, tmp_path: Path) -> None:
+    spec = short_trial()
+    start = spec.scenario.start
+    goal = dataclasses.replace(spec.scenario.goal, center=(start.x, start.y))
+    spec = dataclasses.replace(spec, scenario=dataclasses.replace(spec.scenario, goal=goal))
+    with VideoRecorder(tmp_path / "short.mp4", spec) as recorder:
+        result = run_trial(spec, recorder.on_cycle, recorder.on_step, keep_trees=True)
+        recorder.finish(result)
+    assert (result.outcome, result.steps) == (Outcome.SUCCESS, ())
+    assert len(pictures(tmp_path / "short.mp4")) == round(HOLD * FPS)
+
+
 def test_both_views_show_scene_car_and_plan(video: tuple[Path, TrialResult]) -> None:
     last = pictures(video[0])[-1]
     edge = SIZE[0] - map_width(load_scenario("slope").bounds)
