@@ -66,8 +66,8 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
         origin: plan file that the state is from, if it is not the start of the task.
 
     Raises:
-        InputError: if the footprint at the start, or the goal's centre, is inside an obstacle or out of bounds, or the
-            maps do not fit into memory.
+        InputError: if the footprint at the start, or the goal's centre, is inside an obstacle or out of bounds, if the
+            goal bounds what the vehicle does not have or cannot reach, or if the maps do not fit into memory.
     """
     check_memory_of_maps(task, vehicle)
     x, y = float(state[vehicle.index("x")]), float(state[vehicle.index("y")])
@@ -88,6 +88,10 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
         problem = f"the goal's centre {hit}"
         expected = "expected a free place"
         problems.append(task.source.diagnostic("goal.center", problem, expected, code=Code.GEOMETRY))
+    if task.goal.heading is not None and vehicle.index("theta") < 0:
+        problem = f"{vehicle.name} has no heading: its state has no component theta"
+        expected = "expected a goal without a heading, or a vehicle that turns"
+        problems.append(task.source.diagnostic("goal.heading_deg", problem, expected, code=Code.MISMATCH))
     problems += _goal_limit_problems(task, vehicle)
     if problems:
         raise InputError(problems)

@@ -28,7 +28,7 @@ from kraft.simulation.robots import MjcfRobot, SimulatedCar, mjcf_robot
 from kraft.simulation.scene import build
 from kraft.simulation.world import TIMESTEP, World
 from kraft.text import suggestion
-from kraft.vehicles import CAR_CONTROLS, FORCE, STEEPEST, felt_gravity
+from kraft.vehicles import CAR_CONTROLS, FORCE, STEEPEST, check_state, felt_gravity
 from kraft.vehicles.load import load_vehicle, natural_robot
 from kraft.vehicles.true_robot import CarDimensions, Robot
 from ompl_ext.arrays import Floats, Matrix
@@ -228,7 +228,8 @@ def _with_true_parameters(vehicle: Vehicle, true: TrueRobot) -> Vehicle:
     robot = true.robot
     base = vehicle if robot.model is None else load_vehicle(robot.model)
     known = {"parameters": (tuple(base.parameters), "parameter"), "process_noise": (base.state, "state component")}
-    problems = [
+    problems = [] if robot.model is None else _state_problems(base, true)
+    problems += [
         true.problem(f"{key}.{name}", f"{base.name} has no such {what}", suggestion(name, names), Code.UNKNOWN)
         for key, (names, what) in known.items()
         for name in getattr(robot, key)
@@ -242,6 +243,15 @@ def _with_true_parameters(vehicle: Vehicle, true: TrueRobot) -> Vehicle:
         problem = f"{force} stand for gravity on a floor that is steeper than any"
         raise InputError([true.problem("parameters", problem, "expected a slope of at most 40 degrees", Code.VALUE)])
     return model
+
+
+def _state_problems(model: Vehicle, true: TrueRobot) -> list[Diagnostic]:
+    """What the state of a model that `truth` names lacks for a robot that drives."""
+    try:
+        check_state(model)
+    except InputError as error:
+        return [true.problem("model", f"{model.name} {d.problem}", d.expected, d.code) for d in error.diagnostics]
+    return []
 
 
 def _unknown_to_a_model(scenario: Scenario) -> list[Diagnostic]:

@@ -17,6 +17,7 @@ from kraft.planning.feasibility import memory_needed
 from kraft.planning.plan import PlanResult, budget_of, plan_task
 from kraft.planning.plan_file import NAME, Origin, check_plan_target, read_plan_file, write_plan
 from kraft.planning.search import Previous, check_seed, check_threads, search_named
+from kraft.planning.stated_speed import faster_than_stated
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Planning, Task, load_scenario
 from kraft.text import counted, finite, grouped, metres
@@ -102,6 +103,8 @@ def run_plan(
     polish = task.planning.polish and task.planning.planner == "dirt"
     modules = ["sst"] if task.planning.planner == "sst" else []
     ensure_compiled(vehicle, report, heading=task.goal.heading is not None, polish=polish, modules=modules)
+    if warning := faster_than_stated(vehicle):
+        report(f"warning: {warning}")
     needed = memory_needed(task, vehicle)
     (report if needed >= MUCH_MEMORY else detail)(f"the maps need at most {in_words(needed)} of memory")
     result = plan_task(task, vehicle, seed=request.seed, previous=previous, threads=request.threads)

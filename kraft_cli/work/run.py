@@ -20,6 +20,7 @@ from kraft.evaluation.statistics import percentile, while_driving
 from kraft.evaluation.summary import measures_json
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
+from kraft.planning.stated_speed import faster_than_stated
 from kraft.scenario import Scenario
 from kraft.text import counted, finite, metres
 from kraft.trial.measures import Measures
@@ -87,8 +88,8 @@ def run_scenario(
     check_reachable(cell.scenario.task(), cell.vehicle)
     from kraft.trial.trial import run_trial  # loads the simulator
 
-    for warning in WARNINGS:
-        if text := warning(cell):
+    for text in (*(warning(cell) for warning in WARNINGS), faster_than_stated(cell.vehicle)):
+        if text:
             report(f"warning: {text}")
     timer.report("kernels, maps and simulator loaded")
     spec = TrialSpec(cell.scenario, cell.method, cell.vehicle, request.seed)

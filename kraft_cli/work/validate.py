@@ -28,6 +28,7 @@ from kraft.text import nearest
 from kraft.trial.planning_vehicle import check_own_robot, check_robot
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import configured, load_vehicle, read_vehicle_file
+from kraft.vehicles.reference import is_code
 from ompl_ext.cache_error import CacheError
 from ompl_ext.vehicle import Vehicle
 
@@ -65,7 +66,7 @@ class FileReport:
 
 
 def check_file(name_or_path: str | Path) -> FileReport:
-    """Check a file, or a bundled file by name. Problems and defects are returned, not raised.
+    """Check a file, a bundled file by name, or a vehicle in code. Problems and defects are returned, not raised.
 
     Raises:
         MissingError: if something that the check needs is not installed.
@@ -74,6 +75,10 @@ def check_file(name_or_path: str | Path) -> FileReport:
     kind: FileKind | None = None
     file = str(name_or_path)
     try:
+        if is_code(file):
+            kind = "vehicle"
+            check_own_robot(load_vehicle(file))
+            return FileReport(file, kind)
         path = _find(name_or_path)
         file = str(path)
         document = read_document(path)

@@ -98,6 +98,23 @@ def test_the_vehicle_of_a_method_is_checked_beside_its_other_keys(
     assert places(capsys.readouterr().err) == ["m.yaml:3:37", "m.yaml:3:50", "2 problems in 1 file"]
 
 
+def test_a_vehicle_in_code_is_checked_as_a_file_is(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example = f"{ROOT}/examples/05_vehicle.py"
+    assert main(["validate", example, "kraft.vehicles.mushr:MUSHR"]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        f"{example}: valid vehicle",
+        "kraft.vehicles.mushr:MUSHR: valid vehicle",
+    ]
+    (files / "empty.py").write_text("CAR = 1\n")
+    assert main(["validate", "empty.py", "empty.py:CAR", "none.py:CAR"]) == 2
+    assert [line.split("; ")[0] for line in capsys.readouterr().err.splitlines()] == [
+        "empty.py: defines no Vehicle",
+        "empty.py:CAR: CAR is of type int, not a Vehicle",
+        f"none.py:CAR: there is no file {files / 'none.py'}",
+        "3 problems in 3 files",
+    ]
+
+
 def test_validate_prints_one_json_object(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["validate", "--json", "good.yaml", "bad.yaml"]) == 2
     out, err = capsys.readouterr()

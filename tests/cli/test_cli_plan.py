@@ -114,6 +114,14 @@ def test_parameters_replace_those_of_the_vehicle(capsys: pytest.CaptureFixture[s
     assert slow["cost_s"] > 1.5 * fast["cost_s"]
 
 
+def test_a_model_that_exceeds_its_stated_top_speed_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
+    for speed, warned in (("0.6", False), ("0.9", True)):
+        assert (
+            main(["plan", "room.yaml", "--vehicle", "kraft.vehicles.mushr:MUSHR", "--param", f"v_delta={speed}"]) == 0
+        )
+        assert ("warning: the model of mushr reaches 0.9 m/s" in capsys.readouterr().err) is warned
+
+
 def test_a_vehicle_of_ones_own_plans_at_full_speed(capsys: pytest.CaptureFixture[str]) -> None:
     content = run_json(capsys, "turns", "--vehicle", f"{ROOT}/examples/05_vehicle.py:VEHICLE", "--iterations", "3000")
     assert content["solved"] is True

@@ -16,6 +16,7 @@ from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_placement, memory_needed
 from kraft.planning.plan import PlanResult, finds_plan, plan_task
 from kraft.planning.search import Budget, Previous
+from kraft.planning.stated_speed import faster_than_stated
 from kraft.planning.workspace import fence, start_state, workspace_of
 from kraft.scenario import Task, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
@@ -184,6 +185,20 @@ def test_a_start_or_goal_where_nothing_can_be_is_explained_at_its_line(
     (problem,) = raised(lambda: plan_task(room((old, new)), mushr, FEW))
     assert located([problem]) == [expected]
     assert named in problem.problem
+
+
+def test_a_heading_at_the_goal_is_refused_for_a_vehicle_that_does_not_turn(mushr: Vehicle) -> None:
+    sliding = dataclasses.replace(mushr, state=("x", "y", "phase", "v"))
+    task = room(("radius: 0.3", "radius: 0.3, heading_deg: 90, heading_tolerance_deg: 5"))
+    (problem,) = raised(lambda: check_placement(task, sliding, start_state(task, sliding)))
+    assert located([problem]) == ["7:50 goal.heading_deg mismatch"]
+
+
+def test_a_top_speed_that_the_model_exceeds_is_named_with_the_speed_it_reaches(mushr: Vehicle) -> None:
+    assert faster_than_stated(mushr) == ""
+    warning = faster_than_stated(dataclasses.replace(mushr, top_speed=0.5 * mushr.top_speed))
+    assert f"reaches {mushr.top_speed:.3g} m/s" in warning
+    assert f"top_speed is {0.5 * mushr.top_speed:.3g} m/s" in warning
 
 
 WALL = ("size: [1, 1]", "size: [0.5, 4]")

@@ -284,6 +284,12 @@ def test_a_robot_that_takes_other_controls_is_refused_at_the_line_of_the_truth()
     assert problems("model: jackal", "unicycle2") == ["6:8 truth mismatch"]
 
 
+def test_a_model_without_a_heading_or_a_speed_is_refused_at_the_line_of_the_truth() -> None:
+    """The pose and the speed of the true robot are those of the model."""
+    found = problems("model: kraft.vehicles.dynobench:UNICYCLE1_V0, parameters: {v_max: 1}", "unicycle2")
+    assert [entry.split(" ", 1)[1] for entry in found] == ["truth.model mismatch", "truth.parameters.v_max unknown"]
+
+
 def test_what_a_model_does_not_feel_or_have_is_refused() -> None:
     found = problems(
         "parameters: {v_mx: 1}, process_noise: {w: 1}, tilt: {angle: 0.1}, vehicle: {mass_scale: 2}", "unicycle2"
