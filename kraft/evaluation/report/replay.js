@@ -230,7 +230,7 @@ class Plot {
     this.high = Math.max(this.low + 1e-3, ...all);
     this.value = make("span", { class: "value" });
     this.svg = draw("svg", { class: "plot", role: "img", "aria-label": `${title} over time` });
-    this.element = make("figure", {}, make("figcaption", {}, `${title} `, this.value), this.svg);
+    this.element = make("figure", { "aria-label": title }, make("figcaption", {}, `${title} `, this.value), this.svg);
   }
 
   render(width) {
@@ -329,7 +329,10 @@ class Player {
     if (event.target === this.speed || event.ctrlKey || event.metaKey || event.altKey) return;
     const along = event.target === this.time && !event.shiftKey ? { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1 }[event.key] : 0;
     if (along) this.tick(along);
-    else if (event.key === " " && !(event.target instanceof HTMLInputElement && event.target.type === "checkbox")) this.setPlaying(!this.playing);
+    else if (event.key === " ") {
+      if (event.target.matches("button, input[type=checkbox]")) return; // the space bar presses what has the focus
+      this.setPlaying(!this.playing);
+    }
     else if (event.key === "ArrowLeft") { if (event.shiftKey) onMove(-1); else this.step(-1); }
     else if (event.key === "ArrowRight") { if (event.shiftKey) onMove(1); else this.step(1); }
     else return;
