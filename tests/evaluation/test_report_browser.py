@@ -33,6 +33,7 @@ pytestmark = pytest.mark.skipif(
     CHROMIUM is None and "CI" not in os.environ, reason="Chromium is not installed: apt-get install chromium"
 )
 METHODS = ("kraft", "oneshot-openloop")
+NAMED = ("table", "image", "figure", "columnheader", "search")
 
 
 @dataclass(frozen=True)
@@ -84,25 +85,59 @@ def tab(browser: Browser) -> Iterator[Page]:
     assert said == []
 
 
-def test_every_table_and_every_picture_has_a_name_for_screen_readers(tab: Page, driven: Driven) -> None:
+def test_what_a_screen_reader_stops_at_has_a_name(tab: Page, driven: Driven) -> None:
     tab.goto(driven.url)
     nodes = tab.context.new_cdp_session(tab).send("Accessibility.getFullAXTree")["nodes"]
     names = [
         (node["role"]["value"], node.get("name", {}).get("value"))
         for node in nodes
-        if not node["ignored"] and node["role"]["value"] in ("table", "image")
+        if not node["ignored"] and node["role"]["value"] in NAMED
     ]
     assert len(names) > 5
     assert [role for role, name in names if not name] == []
 
 
-@pytest.mark.parametrize("width", [390, 601, 700, 761, 900])
+@pytest.mark.parametrize("width", [390, 601, 700, 761, 820, 900])
 def test_tables_fit_windows_of_tablets(width: int, tab: Page, driven: Driven) -> None:
     tab.set_viewport_size({"width": width, "height": 1000})
     tab.goto(driven.url)
     assert (
         tab.evaluate("[...document.querySelectorAll('.wide')].filter(d => d.scrollWidth > d.clientWidth).length") == 0
     )
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width
+
+
+@pytest.mark.parametrize("width", [390, 761, 820, 900, 1000, 1240])
+def test_ticks_of_axes_can_be_read_in_every_window(width: int, tab: Page, driven: Driven) -> None:
+    tab.set_viewport_size({"width": width, "height": 1000})
+    tab.goto(driven.url)
+    heights = """all => all.filter(e => e.getBoundingClientRect().width > 0).map(e => {
+        const drawing = e.closest('svg');
+        return parseFloat(getComputedStyle(e).fontSize) * drawing.clientWidth / drawing.viewBox.baseVal.width;
+    })"""
+    assert min(tab.locator("main .tick").evaluate_all(heights)) > 9.5
+
+
+def test_a_count_of_causes_does_not_touch_the_edge_of_its_colour_on_a_phone(tab: Page, driven: Driven) -> None:
+    tab.set_viewport_size({"width": 390, "height": 844})
+    tab.goto(driven.url)
+    padding = tab.locator(".causes .heat").first.evaluate("e => parseFloat(getComputedStyle(e).paddingLeft)")
+    assert padding >= 6
+
+
+@pytest.mark.parametrize(("width", "shown"), [(390, "phone"), (820, "tablet"), (1600, "desk")])
+def test_the_picture_of_a_sweep_fits_the_window_and_its_words_can_be_read(
+    width: int, shown: str, tab: Page, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
+    vary = {"sensing.noise_scale": [0, 1, 2, 3]}
+    evaluate(["turns", "slip", "boxes"], METHODS, trials=2, vary=vary, out=tmp_path / "out")
+    tab.set_viewport_size({"width": width, "height": 900})
+    tab.goto((tmp_path / "out" / "report.html").as_uri())
+    assert tab.locator(".sweep:visible").count() == 1
+    picture = tab.locator(f".sweep-{shown} .sweep")
+    scale = picture.evaluate("e => e.getBoundingClientRect().width / e.viewBox.baseVal.width")
+    assert 0.9 < scale <= 1.05
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
 
 
@@ -195,6 +230,18 @@ def test_a_replay_plays_pauses_steps_and_goes_to_other_trials(tab: Page, driven:
     assert tab.evaluate("location.hash") == ""
 
 
+def test_the_space_bar_presses_the_button_that_has_the_focus(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url)
+    tab.focus("#replay-forward")
+    tab.keyboard.press("Space")
+    second = driven.drive("kraft", 0)["cycles"][1]["t"]
+    assert float(tab.input_value("#replay-time")) == pytest.approx(second, abs=0.01)
+    assert tab.inner_text("#replay-play") == "play"
+    tab.focus("#replay-close")
+    tab.keyboard.press("Space")
+    tab.wait_for_selector("#replay", state="hidden")
+
+
 def test_a_replay_ends_when_the_trial_does_with_the_last_pose_that_is_recorded(tab: Page, driven: Driven) -> None:
     open_trial(tab, driven.url)
     row = next(row for row in driven.evaluation.rows if row.key == ("turns", "kraft", 0))
@@ -278,11 +325,18 @@ def test_the_overview_of_many_entries_has_the_whole_settings_of_each(
     tab: Page, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
-    evaluate(suite="hard", methods=METHODS, trials=1, out=tmp_path / "out")
+    evaluate(suite="hard", methods=METHODS, trials=1, out=tmp_path / "few")
+    methods = (*METHODS, "conservative-kraft", "filtered-kraft", "adaptive-kraft")
+    evaluate(suite="hard", methods=methods, trials=1, out=tmp_path / "more")
     tab.set_viewport_size({"width": 1100, "height": 800})
-    tab.goto((tmp_path / "out" / "report.html").as_uri())
+    tab.goto((tmp_path / "few" / "report.html").as_uri())
     cut = "all => all.filter(e => e.scrollWidth > e.clientWidth || e.scrollHeight > e.clientHeight).length"
     settings = tab.locator(".overview.many th small")
+    assert settings.count() == 30
+    assert settings.evaluate_all(cut) == 0
+    tab.emulate_media(media="print")
+    tab.set_viewport_size({"width": 703, "height": 1000})
+    tab.goto((tmp_path / "more" / "report.html").as_uri())
     assert settings.count() == 30
     assert settings.evaluate_all(cut) == 0
 
@@ -294,6 +348,10 @@ def test_a_page_of_paper_holds_every_table_and_the_overview_has_its_words(tab: P
         tab.set_viewport_size({"width": width, "height": 1000})
         assert tab.evaluate("document.documentElement.scrollWidth") <= width
     assert tab.locator(".overview td span").first.is_visible()
+    sizes = [
+        tab.locator(f".overview td {of}").first.evaluate("e => getComputedStyle(e).fontSize") for of in ("b", "span")
+    ]
+    assert sizes[0] == sizes[1]
     heading = tab.locator(".overview th:not([scope])").nth(1)
     assert heading.evaluate("e => getComputedStyle(e).writingMode") == "horizontal-tb"
 

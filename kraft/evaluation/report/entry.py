@@ -289,7 +289,9 @@ def trials_section() -> Element:
         "section",
         element("h2", "Trials"),
         element("p", "Follow a link to replay a trial. A heading sorts by its column.", class_="key"),
-        element("div", *filters, element("output", id="trials-count"), class_="filters", role="search"),
+        element(
+            "div", *filters, element("output", id="trials-count"), class_="filters", role="search", aria_label="trials"
+        ),
         element("p", id="trials-alarm", class_="alarm", role="alert", hidden="hidden"),
         element("noscript", element("p", "The list and the replays need JavaScript.", class_="alarm")),
         element("div", table, class_="wide"),

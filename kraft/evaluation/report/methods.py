@@ -117,14 +117,18 @@ def _table(totals: Sequence[_Total]) -> Element:
         "tr",
         element("th", "method"),
         element("th", "succeeded", class_="number"),
-        element("th", _axis(shares, [f"{share:.0%}" for share in shares])),
+        element("th", _axis(shares, [f"{share:.0%}" for share in shares]), aria_label="succeeded, drawn"),
         element("th", "collided", class_="number"),
-        element("th", _axis(shares, [f"{share:.0%}" for share in shares])),
+        element("th", _axis(shares, [f"{share:.0%}" for share in shares]), aria_label="collided, drawn"),
         element("th", "timed out", class_="number"),
         element("th", "mean time, s", class_="number"),
-        element("th", _axis(ticks, [f"{tick:g}" for tick in ticks])),
+        element("th", _axis(ticks, [f"{tick:g}" for tick in ticks]), aria_label="mean time, drawn"),
         *([element("th", "time / bound", class_="number")] if bounded else []),
-        *([element("th", _axis(ratios, [f"{tick:g}" for tick in ratios]))] if bounded else []),
+        *(
+            [element("th", _axis(ratios, [f"{tick:g}" for tick in ratios]), aria_label="time / bound, drawn")]
+            if bounded
+            else []
+        ),
         element("th", "δ(v) kept", class_="number"),
         *([element("th", "command, ms", element("small", "median"), class_="number")] if timed else []),
     )
@@ -250,7 +254,8 @@ def _panel(total: _Total, quantiles: Sequence[Sequence[float]], top: float, last
     if delta is not None and kept is not None:
         words += f"; δ(v) {100 * delta:.1f} cm on average, kept at {percent(kept)} of the ticks"
     drawing = svg(width, height, *parts, class_="deviation-panel", aria_label=f"{total.title}: {words}")
-    return element("figure", element("figcaption", element("b", total.title), element("small", words)), drawing)
+    caption = element("figcaption", element("b", total.title), element("small", words))
+    return element("figure", caption, drawing, aria_label=f"deviation of {total.title}")
 
 
 DEVIATION_WIDTH, DEVIATION_HEIGHT = 170.0, 46.0

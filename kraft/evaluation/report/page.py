@@ -30,12 +30,13 @@ from kraft.evaluation.report.entry import (
 from kraft.evaluation.report.methods import Shown, measures_table, methods
 from kraft.evaluation.report.overview import causes, chip, overview, settings_of
 from kraft.evaluation.report.results import VERSIONS, Results
-from kraft.evaluation.report.sweeps import sweep_pictures, sweeps
+from kraft.evaluation.report.sweeps import DESK, PHONE, TABLET, sweep_pictures, sweeps
 from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted, decimals
 
 LISTED: Final = 200  # unsuccessful trials of a scenario that are listed
 SHORTEST_AXIS: Final = 0.1  # of times, s: with a start in the goal every time is 0
+PAPERS: Final = {"desk": DESK, "tablet": TABLET, "phone": PHONE}  # the style sheet shows the picture that fits
 SAFE: Final = " !$'()*+,/:;=?@~"  # characters that need no escape in an address of data
 
 
@@ -115,11 +116,13 @@ def _sweeps(results: Results) -> Element | None:
         "panel has no cap there. The methods are set a little apart, so that equal ones can be seen."
     )
     figures = []
-    for k, drawing in enumerate(sweep_pictures(found, results.methods)):
+    drawings = {name: sweep_pictures(found, results.methods, paper) for name, paper in PAPERS.items()}
+    for k, (sweep, drawing) in enumerate(zip(found, drawings["desk"], strict=True)):
         file = f"sweep-{k + 1}.svg" if len(found) > 1 else "sweep.svg"
         content = quote(ElementTree.tostring(drawing, encoding="unicode"), safe=SAFE)
         save = element("a", "save as SVG", href=f"data:image/svg+xml;charset=utf-8,{content}", download=file)
-        figures.append(element("figure", element("div", drawing, class_="wide"), element("p", save, class_="save")))
+        fitting = [element("div", pictures[k], class_=f"sweep-{name}") for name, pictures in drawings.items()]
+        figures.append(element("figure", *fitting, element("p", save, class_="save"), aria_label=sweep.name))
     return element(
         "section",
         element("h2", "Sweeps"),
@@ -201,14 +204,19 @@ def _table(results: Results, name: str, mine: Sequence[Result]) -> Element:
 def _picture(results: Results, name: str) -> Element:
     scenario = results.known.get(name)
     if scenario is None:
-        return element("figure", element("figcaption", "No picture: the scenario is not there any more, or another."))
+        words = "No picture: the scenario is not there any more, or another."
+        return element("figure", element("figcaption", words), aria_label=f"scene of {name}")
     hits = Counter(row.obstacle for row in results.of_cell(name) if row.obstacle)
     unknown = scenario.truth.in_words()
     words = f"Not known to the planner: {', '.join(unknown)}." if unknown else "The planner knows this scene."
     most = hits.most_common(1)
     hit = f" Hit most: {most[0][0]}, {_times(most[0][1])}." if most else ""
     return element(
-        "figure", floor_plan(scenario, hits), element("figcaption", words + hit), data_entry=results.slugs[name]
+        "figure",
+        floor_plan(scenario, hits),
+        element("figcaption", words + hit),
+        data_entry=results.slugs[name],
+        aria_label=f"scene of {name}",
     )
 
 

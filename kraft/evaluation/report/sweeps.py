@@ -83,6 +83,11 @@ class Sweep:
     fixed: Mapping[str, Any]
     panels: Mapping[str, Mapping[str, Sequence[Point]]]
 
+    @property
+    def name(self) -> str:
+        """What is varied, and at which values of the other keys."""
+        return f"Sweep of {self.axis.key} {settings_text(self.fixed)}".strip()
+
 
 def sweeps(results: Results) -> list[Sweep]:
     """Sweeps of an evaluation: one for each combination of values of the varied keys but the one with most values."""
@@ -188,18 +193,27 @@ INK, GREY, RULE = "#16181d", "#667080", "#e3e6eb"
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#16181d")
 """Palette of Okabe and Ito without its yellow."""
 FONT: Final = "system-ui, 'DejaVu Sans', Helvetica, Arial, sans-serif"
-WIDTH: Final = 1232.0
 LEFT, GAP, RIGHT = 78.0, 26.0, 10.0  # px beside and between panels
 HEIGHT, BETWEEN = 126.0, 20.0  # px of a panel and between two rows of panels
 TITLE, FOOT, APART = 30.0, 46.0, 14.0  # px above and below a column of panels, and between two lines of columns
 PANEL_MAX: Final = 380.0
-COLUMNS_MAX: Final = 6
 DODGE: Final = 5.0  # px between the points of two methods at one value, at most
 NARROW: Final = 250.0  # px; narrower panels have smaller marks
 INSET: Final = 6.0  # px between the ends of an axis and the edge of a panel
 CHARACTER: Final = 6.4  # px, mean width
 
 Pick = Callable[[Point], Estimate | None]
+
+
+@dataclass(frozen=True)
+class Paper:
+    """Room for a picture: its width (px), and the most scenarios beside each other."""
+
+    width: float
+    columns: int
+
+
+DESK, TABLET, PHONE = Paper(1232.0, 6), Paper(700.0, 3), Paper(366.0, 1)
 
 
 @dataclass(frozen=True)
@@ -234,16 +248,16 @@ class _Frame:
         return self.y + HEIGHT - INSET - share * (HEIGHT - 2 * INSET)
 
 
-def sweep_pictures(sweeps: Sequence[Sweep], titles: Mapping[str, str]) -> list[Element]:
+def sweep_pictures(sweeps: Sequence[Sweep], titles: Mapping[str, str], paper: Paper = DESK) -> list[Element]:
     """Draw sweeps with the same axes; `titles` are those of the methods, by name."""
     measures = _measures(sweeps)
-    return [_picture(sweep, measures, titles) for sweep in sweeps]
+    return [_picture(sweep, measures, titles, paper) for sweep in sweeps]
 
 
-def _picture(sweep: Sweep, measures: Sequence[_Measure], titles: Mapping[str, str]) -> Element:
-    lines = -(-len(sweep.panels) // COLUMNS_MAX)
+def _picture(sweep: Sweep, measures: Sequence[_Measure], titles: Mapping[str, str], paper: Paper) -> Element:
+    lines = -(-len(sweep.panels) // paper.columns)
     columns = -(-len(sweep.panels) // lines)
-    step = min(PANEL_MAX, (WIDTH - LEFT - RIGHT + GAP) / columns - GAP)
+    step = min(PANEL_MAX, (paper.width - LEFT - RIGHT + GAP) / columns - GAP)
     width = LEFT + columns * (step + GAP) - GAP + RIGHT
     fixed = ", ".join(label_of(key, value) for key, value in sweep.fixed.items())
     legend, top = _legend(titles, width, 40.0 if fixed else 16.0)
@@ -264,7 +278,8 @@ def _picture(sweep: Sweep, measures: Sequence[_Measure], titles: Mapping[str, st
         parts.append(_text(sweep.axis.label, x + step / 2, y + tall - 10.0))
     drawing = svg(width, top + lines * (tall + APART), *parts, class_="sweep", font_family=FONT, font_size=12.0)
     drawing.set("xmlns", "http://www.w3.org/2000/svg")
-    drawing.insert(0, element("title", f"Sweep of {sweep.axis.key} {settings_text(sweep.fixed)}".strip()))
+    drawing.insert(0, element("title", sweep.name))
+    drawing.set("aria-label", sweep.name)
     return drawing
 
 
