@@ -6,6 +6,7 @@ for radians, millimetres for metres, milliseconds for seconds.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
@@ -14,6 +15,7 @@ import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.log import Array, Findings
+from kraft.logs.names import FACTOR
 from kraft.logs.samples import Samples
 from kraft.logs.streams import Channel
 from kraft.logs.table import Flags, Rows
@@ -196,8 +198,8 @@ POSE_INTERVAL_MAX: Final = 2.0
 """Time between poses above which stamps are not in seconds, s."""
 STEERING_MAX: Final = 1.6
 """Steering command above which it is no angle in radians, a little more than a right angle."""
-SWAPPED_OFFSET_MIN: Final = 1.2
-"""Difference of the direction of motion from the negative yaw, rad, above which x and y are swapped: a right angle."""
+SIDEWAYS_MIN: Final = 1.2
+"""Difference of the direction of motion from a yaw, rad, above which it counts as a right angle."""
 _CHORDS_MIN: Final = 5
 
 
@@ -334,14 +336,42 @@ def _ahead(path: Chords, yaw: Array) -> Chords:
 
 def _heading(poses: Samples, path: Chords, yaw: Array, findings: Findings) -> None:
     path = _ahead(path, yaw)
-    if len(path.directions) < _CHORDS_MIN or agreement(path, yaw)[0] > 0.7:
+    if len(path.directions) < _CHORDS_MIN:
         return
-    follows, offset = agreement(path, -yaw)
-    mirrored = follows > 0.9
-    if mirrored and abs(offset) > SWAPPED_OFFSET_MIN:
-        x, y = (channel.column for channel in poses.stream.channels[:2])
-        problem = f"{x!r} and {y!r} are swapped: the vehicle moves as its yaw says if the first is y"
-        expected = f"write poses: {{x: {y!r}, y: {x!r}}} into a mapping file"
-        raise SwappedError([poses.diagnostic(problem, expected, code=Code.MISMATCH)], (x, y))
-    why = "it follows when its sign is changed (scale: -1 in a mapping file)" if mirrored else "are x, y and yaw right?"
+    follows, offset = agreement(path, yaw)
+    aside = follows > 0.9 and abs(offset) > SIDEWAYS_MIN
+    if follows > 0.7 and not aside:
+        return
+    reverse, offset = agreement(path, -yaw)
+    mirrored = not aside and reverse > 0.9
+    if mirrored and abs(offset) > SIDEWAYS_MIN:
+        x, y, *turn = poses.stream.channels
+        problem = f"{x.column!r} and {y.column!r} are swapped: the vehicle moves as its yaw says if the first is y"
+        expected = f"write poses: {{x: {y.column!r}, y: {x.column!r}}} into a mapping file"
+        if len(turn) == 1:
+            problem += "; or the yaw is a compass heading, clockwise from y"
+            expected += f", or for a compass heading {_turned(turn[0], -1.0, math.pi / 2)}"
+        raise SwappedError([poses.diagnostic(problem, expected, code=Code.MISMATCH)], (x.column, y.column))
+    why = "are x, y and yaw right?"
+    if aside:
+        why = f"they are a right angle apart{_right_angle(poses, path, yaw)}"
+    elif mirrored:
+        why = "it follows when its sign is changed (scale: -1 in a mapping file)"
     findings.add("heading", 1, f"{poses.stream.table.name}: yaw does not follow the direction of motion; {why}")
+
+
+def _right_angle(poses: Samples, path: Chords, yaw: Array) -> str:
+    """How to turn a yaw that is a right angle away from a motion that is mostly forward; empty for a quaternion."""
+    _x, _y, *turn = poses.stream.channels
+    if len(turn) > 1:
+        return ""
+    left = float(np.mean(np.sin(path.directions - yaw[path.ends.sum(axis=1) // 2])))
+    return f" (if the vehicle drives mostly forward, {_turned(turn[0], 1.0, math.copysign(math.pi / 2, left))})"
+
+
+def _turned(channel: Channel, sign: float, offset: float) -> str:
+    """The line of a mapping file for the yaw `sign` times that of a channel plus `offset` (rad)."""
+    zero = channel.zero - sign * offset / (channel.scale * FACTOR[channel.unit])
+    scale = sign * channel.scale
+    factor = "" if scale == 1.0 else f", scale: {scale:g}"
+    return f"poses.yaw: {{column: {channel.column!r}, unit: {channel.unit}, zero: {zero:.6g}{factor}}}"

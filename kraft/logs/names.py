@@ -64,6 +64,8 @@ _GLUED: Final = {
     **{f"q{axis}": ("quaternion", axis) for axis in "xyzw"},
     **{f"v{axis}": ("velocity", axis) for axis in "xyz"},
     **{f"{word}{unit}": (word, unit) for word in ("yaw", "theta", "heading", "steering") for unit in ("deg", "rad")},
+    "easting": ("pos", "x"),
+    "northing": ("pos", "y"),
     "yawrate": ("yaw", "rate"),
     "deadman": ("dead", "man"),
     "tcmd": ("cmd", "t"),

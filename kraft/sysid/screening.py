@@ -107,24 +107,36 @@ def two_cars(logs: Sequence[Log]) -> str:
     return "" if problem is None else f"{problem.problem}; {problem.expected}"
 
 
+def check_direction(logs: Sequence[Log]) -> None:
+    """Refuse logs of a car, most of which have a yaw that does not follow the direction of motion.
+
+    Such a car seems to move sideways, which hides what its commands do: other checks come after this one.
+
+    Raises:
+        InputError: with these logs and what was found in each.
+    """
+    if not are_of_cars(logs):
+        return
+    astray = [(log, finding) for log in logs for finding in log.findings if finding.kind == "heading"]
+    if 2 * len(astray) > len(logs):
+        expected = "expected x, y and yaw of one pose"
+        raise InputError([Diagnostic(log.name, found.text, expected, code=Code.MISMATCH) for log, found in astray])
+
+
 def check_consistency(logs: Sequence[Log]) -> None:
     """Refuse logs of a car whose commands and poses do not belong together, or that are of two cars.
 
     Logs without throttle and steering are not checked.
 
     Raises:
-        InputError: if the yaw does not follow the motion, if throttle and steering are swapped, if the clocks of
-            commands and poses are apart, or if the logs fall into two groups; with what to do.
+        InputError: if throttle and steering are swapped, if the clocks of commands and poses are apart, or if the logs
+            fall into two groups; with what to do.
     """
     if not logs or not are_of_cars(logs):
         return
     found = motions(logs)
     if not found:
         return
-    astray = [log for log in logs if any(finding.kind == "heading" for finding in log.findings)]
-    if 2 * len(astray) > len(logs):
-        what, expected = "the yaw does not follow the direction of motion", "expected x, y and yaw of one pose"
-        raise InputError([Diagnostic(log.name, what, expected, code=Code.MISMATCH) for log in astray])
     for check in (_check_columns, _check_clock, _check_groups):
         problem = check(found, logs)
         if problem is not None:

@@ -32,7 +32,7 @@ from kraft.sysid.identify import identify
 from kraft.sysid.interface import Identification, Settings
 from kraft.sysid.model_choice import identify_car, models_of_cars
 from kraft.sysid.parameters import is_unknown_to_planning
-from kraft.sysid.screening import check_consistency, two_cars
+from kraft.sysid.screening import check_consistency, check_direction, two_cars
 from kraft.sysid.selection import excluded_for_planning
 from kraft.sysid.terms import check_controls, has_terms
 from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
@@ -111,6 +111,7 @@ def run_sysid(
     recorded = split.held_out
     split = replace(split, fitted=with_units(split.fitted, units), held_out=with_units(split.held_out, units))
     try:
+        check_direction(split.fitted)
         if auto or has_terms(base.definition):  # before drives that a constant does not explain are taken for two cars
             check_controls(split.fitted, SteeringInMotion.of(split.fitted))
         check_consistency(split.fitted)

@@ -10,6 +10,7 @@ from support.logs import Drive, drive, located, wide_columns, wrapped, write_pai
 
 from kraft.errors import Code, InputError
 from kraft.logs.log import Finding, Log
+from kraft.logs.mapping import Column, Mapping, Poses
 from kraft.logs.motion import extent, tracks
 from kraft.logs.reader import read_logs
 
@@ -448,3 +449,29 @@ def test_swapped_x_and_y_are_refused_with_what_to_write(tmp_path: Path) -> None:
     problems, message = refused(tmp_path, x=WIDE["y"], y=WIDE["x"])
     assert problems == ["a.csv mismatch"]
     assert "write poses: {x: 'y', y: 'x'} into a mapping file" in message
+    assert "or for a compass heading poses.yaw: {column: 'yaw', unit: rad, zero: 1.5708, scale: -1}" in message
+
+
+def with_yaw(tmp_path: Path, degrees: np.ndarray) -> Path:
+    """A log whose yaw is in degrees and called `heading_deg`."""
+    columns = {name: values for name, values in WIDE.items() if name != "yaw"} | {"heading_deg": degrees}
+    return write_table(tmp_path / "a.csv", list(columns), list(columns.values()))
+
+
+def test_the_line_for_a_compass_heading_makes_it_a_yaw(tmp_path: Path) -> None:
+    path = with_yaw(tmp_path, (90.0 - np.rad2deg(WIDE["yaw"])) % 360.0)
+    with pytest.raises(InputError) as error:
+        read_logs(path)
+    assert "poses.yaw: {column: 'heading_deg', unit: deg, zero: 90, scale: -1}" in str(error.value)
+    stated = Mapping(poses=Poses(yaw=Column(column="heading_deg", unit="deg", zero=90.0, scale=-1.0)))
+    (log,) = read_logs(path, mapping=stated).logs
+    assert not [f for f in log.findings if f.kind == "heading"]
+    turned = Mapping(poses=Poses(yaw=Column(column="heading_deg", unit="deg", scale=-1.0)))
+    (log,) = read_logs(path, mapping=turned).logs
+    assert "unit: deg, zero: 90, scale: -1}" in finding(log, "heading").text
+
+
+@pytest.mark.parametrize("turn", [90.0, -90.0])
+def test_a_yaw_at_a_right_angle_to_the_motion_is_said_with_what_to_write(tmp_path: Path, turn: float) -> None:
+    (log,) = read_logs(with_yaw(tmp_path, np.rad2deg(WIDE["yaw"]) + turn)).logs
+    assert f"poses.yaw: {{column: 'heading_deg', unit: deg, zero: {turn:g}}}" in finding(log, "heading").text

@@ -178,6 +178,8 @@ def test_estimates_and_targets_are_not_taken_for_the_measured_pose(tmp_path: Pat
         ("t_ms", "t", 1e3, "time from 't_ms' (ms, converted)"),
         ("stamp_ns", "t", 1e9, "time from 'stamp_ns' (ns, converted)"),
         ("x_mm", "x", 1e3, "x from 'x_mm' (mm, converted)"),
+        ("utm_easting", "x", 1.0, "x from 'utm_easting' (m)"),
+        ("northing [mm]", "y", 1e3, "y from 'northing [mm]' (mm, converted)"),
     ],
 )
 def test_a_unit_in_the_name_is_converted(tmp_path: Path, name: str, old: str, factor: float, said: str) -> None:

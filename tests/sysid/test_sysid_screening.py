@@ -16,7 +16,7 @@ from kraft.errors import Code, InputError
 from kraft.logs.log import Finding, Log
 from kraft.sysid import identify, prediction_errors
 from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
-from kraft.sysid.screening import check_consistency, two_cars
+from kraft.sysid.screening import check_consistency, check_direction, two_cars
 from kraft.sysid.smoothing import thinned
 from kraft.sysid.unexplained import unexplained_stretches, without
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
@@ -173,10 +173,13 @@ def test_two_cars_are_told_apart_by_their_logs(other: dict[str, float]) -> None:
 
 
 def test_a_yaw_of_something_else_is_refused() -> None:
-    astray = [replace(log, findings=(Finding("heading", 1, ""),)) for log in logs()]
+    astray = [replace(log, findings=(Finding("heading", 1, "yaw of a wheel"),)) for log in logs()]
     with pytest.raises(InputError) as error:
-        check_consistency(astray)
-    assert [problem.file for problem in error.value.diagnostics] == [log.name for log in logs()]
+        check_direction(astray)
+    assert [(each.file, each.problem) for each in error.value.diagnostics] == [
+        (log.name, "yaw of a wheel") for log in logs()
+    ]
+    check_direction([*astray[:3], *logs()[3:]])
 
 
 def disturbed(seed: int, kind: str = "") -> Log:
