@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
@@ -22,6 +23,10 @@ POSE_INTERVAL: Final = 0.03
 """Least time between two poses of the parabolas that give speed and yaw rate, s."""
 SPAN: Final = 0.3
 """Time over which the change of the speed is explained, s."""
+REVERSE_SHARE: Final = 0.1
+"""Share of the high speeds above which a vehicle counts as driving backwards."""
+REVERSE_TIME_MIN: Final = 2.0
+"""Least time of all drives backwards that shows the drive of throttle backwards, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +42,8 @@ class Motion:
     """(n,) to its left, m/s"""
     rate: Floats
     """(n,) of the yaw, rad/s"""
+    yaw: Floats
+    """(n,) rad"""
     part: Part
 
     def commands(self, delay: float = 0.0) -> Matrix:
@@ -62,6 +69,18 @@ def motions(logs: Sequence[Log], controls: Sequence[str] = CAR_CONTROLS) -> list
     return found
 
 
+def reverses(logs: Sequence[Log]) -> bool:
+    """Whether the vehicle drives backwards by throttle backwards for some time, and does not only brake with it."""
+    found = motions(logs, ("throttle",))
+    if not found:
+        return False
+    throttle = np.concatenate([m.commands()[:, 0] for m in found])
+    speed = np.concatenate([m.speed for m in found])
+    speed = math.copysign(1.0, float(throttle @ speed)) * speed  # the yaw may be that of the rear
+    fast = REVERSE_SHARE * float(np.quantile(np.abs(speed), 0.95))
+    return bool(STEP * np.count_nonzero((throttle < 0.0) & (speed < -fast)) >= REVERSE_TIME_MIN)
+
+
 def motion(log: int, part: Part, columns: Sequence[int]) -> Motion:
     """Motion of one part; `columns` are those of its commands."""
     less = thinned(part, POSE_INTERVAL)
@@ -69,9 +88,8 @@ def motion(log: int, part: Part, columns: Sequence[int]) -> Motion:
     poses, rates = smoothed(less.pose_times, less.poses, times)
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     ordered = replace(part, commands=part.commands[:, list(columns)])
-    return Motion(
-        log, times, rates[:, 0] * c + rates[:, 1] * s, rates[:, 1] * c - rates[:, 0] * s, rates[:, 2], ordered
-    )
+    speed, side = rates[:, 0] * c + rates[:, 1] * s, rates[:, 1] * c - rates[:, 0] * s
+    return Motion(log, times, speed, side, rates[:, 2], poses[:, 2], ordered)
 
 
 def sums_of(values: Floats, count: int) -> Floats:

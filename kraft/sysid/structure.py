@@ -32,6 +32,7 @@ import numpy as np
 from kraft.errors import Code, InputError
 from kraft.sysid.initial_values import InitialSearch, drive_values
 from kraft.sysid.interface import AT_BOUND, Settings
+from kraft.sysid.log_motion import reverses
 from kraft.sysid.multistep import CONVERGED, MultiStep, fit
 from kraft.sysid.optimiser import RIDGE, OnIteration, Optimum, bounded_step, step_with, without_fold
 from kraft.sysid.parallel import in_parallel
@@ -142,12 +143,14 @@ class StructureSearch:
 
     @cached_property
     def _unexcited(self) -> frozenset[str]:
-        """Terms that no log can show: braking without throttle backwards."""
+        """Terms that no log can show: braking without throttle backwards, its drive without motion backwards."""
         if "throttle" not in self.model.controls:
             return frozenset()
         k = list(self.model.controls).index("throttle")
         low = min(float(s.part.commands[:, k].min()) for s in self.windows.segments)
-        return frozenset() if low < 0.0 else frozenset({"brake"})
+        if low >= 0.0:
+            return frozenset({"brake", "reverse"})
+        return frozenset() if reverses(self._logs) else frozenset({"reverse"})
 
     def graph(self, terms: Sequence[str]) -> MultiStep:
         """The multi-step problem with some terms on."""

@@ -5,9 +5,11 @@ wheels, with a yaw that is `yaw_offset` more than the car's; and the speed of th
 has the wheels' angle delta (rad) and the yaw rate r (rad/s).  Controls [throttle, steering] are in any unit, forward
 and left positive; they are divided by `full_throttle` and `full_steering` first.
 
-A term is off at the neutral value of its parameter (`neutral` in the vehicle file, 0 except for `brake`, which is 1):
+A term is off at the neutral value of its parameter (`neutral` in the vehicle file, 0 except for `brake` and `reverse`,
+which are 1):
 
-    drive     a (1 + progression |u|) u, u the throttle less its dead zone; times `brake` against the motion
+    drive     a (1 + progression |u|) u, u the throttle less its dead zone, times `reverse` backwards; times `brake`
+              against the motion
     losses    (damping + back_emf |u|) v + drag v |v|, friction against the motion, scrub of turned wheels
     steering  phi_diff + steer (1 +- asymmetry) n / sqrt(1 + (saturation n)^2), n the steering
     tyres     curvature tan(delta) / (L (1 + understeer v^2)); lateral acceleration at most 1 / slide; slip of the body
@@ -54,7 +56,7 @@ def positive(value: float) -> float:
 def actuation(u: Values, p: Values) -> Values:
     """Throttle and steering to throttle beyond the dead zone (share), wheel angle (rad)."""
     throttle, steering = u[0] / p[0], u[1] / p[1]
-    effective = positive(throttle - p[9]) - positive(-throttle - p[9])
+    effective = positive(throttle - p[9]) - p[23] * positive(-throttle - p[9])
     side = steering / sqrt(steering * steering + SOFT_SIDE * SOFT_SIDE)
     turned = steering / sqrt(1.0 + p[7] * p[7] * steering * steering)
     return effective, p[4] + p[5] * turned * (1.0 + p[6] * side)
@@ -117,12 +119,12 @@ def lagging(x: Values, u: Values, p: Values) -> Values:
     """Derivative of the car whose wheels and yaw rate follow with a lag."""
     _, _, theta, v, delta, r = x
     turned = tan(delta)
-    rate = (u[1] - delta) / p[23]
-    limited = rate / sqrt(1.0 + rate * rate * p[25] * p[25])
+    rate = (u[1] - delta) / p[24]
+    limited = rate / sqrt(1.0 + rate * rate * p[26] * p[26])
     bend = curvature(v, turned, p)
     sliding = v * r * (turned - p[3] * bend)
     vx, vy = velocity(theta, v, r, p)
-    return vx, vy, r, acceleration(v, u[0], v * r, turned, sliding, p), limited, (v * bend - r) / p[24]
+    return vx, vy, r, acceleration(v, u[0], v * r, turned, sliding, p), limited, (v * bend - r) / p[25]
 
 
 @derivative
@@ -166,6 +168,7 @@ CAR = Vehicle(
         "skid": 0.0,
         "lever": 0.0,
         "yaw_offset": 0.0,
+        "reverse": 1.0,
     },
     footprint=Footprint(0.45, 0.28, 0.13),
     top_speed=5.0,
