@@ -62,7 +62,7 @@ def yaw_error(found: Sequence[Motion], delay: float, *, swapped: bool = False) -
     """Share of the yaw rate that speed and steering do not explain, with steering from `delay` s before."""
     control = 0 if swapped else 1
     terms = [np.column_stack([m.speed, m.speed * m.commands(delay)[:, control]]) for m in found]
-    return _unexplained(np.concatenate(terms), np.concatenate([m.rate for m in found]))
+    return unexplained(np.concatenate(terms), np.concatenate([m.rate for m in found]))
 
 
 def speed_error(found: Sequence[Motion], delay: float, *, swapped: bool = False) -> float:
@@ -73,10 +73,10 @@ def speed_error(found: Sequence[Motion], delay: float, *, swapped: bool = False)
         terms.append(np.column_stack([np.ones(len(mean)), mean, m.speed[:-count]]))
         changes.append(m.speed[count:] - m.speed[:-count])
     change = np.concatenate(changes)
-    return _unexplained(np.concatenate(terms), change - np.mean(change))
+    return unexplained(np.concatenate(terms), change - np.mean(change))
 
 
-def _unexplained(terms: Matrix, values: Floats) -> float:
+def unexplained(terms: Matrix, values: Floats) -> float:
     """Share of the sum of squares of `values` (n,) that is left by least squares on `terms` (n, k)."""
     whole = float(values @ values)
     if whole <= 0.0:
@@ -215,7 +215,7 @@ def _check_groups(found: Sequence[Motion], logs: Sequence[Log]) -> Diagnostic | 
         return None
     for what, terms, least, most in (
         ("turn", _turning_terms, GROUP_TURN_LEAST, GROUP_TURN_RATIO),
-        ("accelerate", _driving_terms, GROUP_DRIVE_LEAST, GROUP_DRIVE_RATIO),
+        ("accelerate", driving_terms, GROUP_DRIVE_LEAST, GROUP_DRIVE_RATIO),
     ):
         tried = [_normal(found, len(logs), [terms(m, delay) for m in found]) for delay in GROUP_DELAYS]
         normal = min(tried, key=lambda each: _two_groups(each)[1])
@@ -244,7 +244,7 @@ def _turning_terms(m: Motion, delay: float) -> tuple[Matrix, Floats]:
     return mean[:, :-1], mean[:, -1]
 
 
-def _driving_terms(m: Motion, delay: float) -> tuple[Matrix, Floats]:
+def driving_terms(m: Motion, delay: float) -> tuple[Matrix, Floats]:
     """Terms of the change of the speed and the change."""
     count, u, v = round(SPAN / STEP), m.commands(delay)[:, 0], m.speed
     mean, before = sums_of(u, count) / count, v[:-count]

@@ -28,6 +28,7 @@ from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.command_units import SIDES, CommandUnit, command_units, sign_warnings, unit_notes, with_units
 from kraft.sysid.data import LogSplit, split_logs
 from kraft.sysid.factor_graph import ensure_compiled
+from kraft.sysid.floor import leaning_floor
 from kraft.sysid.identify import identify
 from kraft.sysid.interface import Identification, Settings
 from kraft.sysid.model_choice import identify_car, models_of_cars
@@ -134,6 +135,7 @@ def run_sysid(
     unknown = (
         *_untested(split, left_out),
         *_of_two_cars(split),
+        *_of_leaning_floor(split, base),
         *_unknown_to_planning(request, identification),
     )
     excluded = () if has_terms(base.definition) else _excluded_note(base, settings)
@@ -265,6 +267,12 @@ def _of_two_cars(split: LogSplit) -> tuple[str, ...]:
     """The warning that the logs are of two cars, which may show only with those that are held out."""
     found = two_cars((*split.fitted, *split.held_out)) if split.held_out else ""
     return (f"with those held out, {found}",) if found else ()
+
+
+def _of_leaning_floor(split: LogSplit, base: BaseVehicle) -> tuple[str, ...]:
+    """The warning that the floor leans, for a model without a force on the vehicle."""
+    found = "" if "a_x" in base.vehicle.parameters else leaning_floor(split.fitted)
+    return (found,) if found else ()
 
 
 def _not_planned_with(identification: Identification) -> list[str]:
