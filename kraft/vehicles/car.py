@@ -35,7 +35,7 @@ TURNOVER = 0.05
 Half a step of the planner: longer, the car rolls out too far; shorter, steps of 0.1 s ring about standstill.
 """
 REVERSAL = 0.2
-"""Share by which the drive exceeds friction from which on its sense changes at standstill: the car does not stay there."""
+"""Share by which the drive exceeds friction from which on the sense of friction changes at once: the car reverses."""
 LEAST_WIDTH = 0.01
 """Least speed over which the sense of friction changes, m/s, so that derivatives exist without friction too."""
 SOFT_THROTTLE = 0.02
