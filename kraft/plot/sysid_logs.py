@@ -5,12 +5,14 @@ The page about an identification has its colours, captions, axes, stacked panels
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
@@ -55,6 +57,8 @@ if TYPE_CHECKING:
 WIDTH, HEIGHT, MAP = 11.5, 4.6, 4.0
 SPEED_INTERVAL = 0.25
 """Time over which a speed is measured, s."""
+LARGE, ROUND = 1000.0, 100.0
+"""Coordinates from which on ticks are counted from an origin, and what the origin is a multiple of, m."""
 
 
 def plot_logs(path: Path, vehicle: Vehicle, logs: Sequence[Log], problem: str) -> None:
@@ -199,10 +203,21 @@ def set_floor_limits(axes: Axes, paths: Sequence[Matrix], part: Rectangle) -> No
     half = 0.5 * scale * np.array([part.width, part.height])
     axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]))
     plain_axes(axes)
-    axes.set_xlabel("x, m", labelpad=1)
-    axes.set_ylabel("y, m", labelpad=1)
+    axes.set_xlabel(_from_origin(axes.xaxis, "x"), labelpad=1)
+    axes.set_ylabel(_from_origin(axes.yaxis, "y"), labelpad=1)
     axes.grid(color=RULE, linewidth=0.4)
     axes.set_axisbelow(True)
+
+
+def _from_origin(axis: Axis, name: str) -> str:
+    """Label of an axis of coordinates; the ticks of large ones, such as UTM, are counted from an origin nearby."""
+    low, high = axis.get_view_interval()
+    if max(abs(low), abs(high)) < LARGE:
+        return f"{name}, m"
+    origin = ROUND * math.floor(low / ROUND)
+    axis.set_major_formatter(FuncFormatter(lambda value, _: plain_number(value - origin)))
+    sign = "\N{MINUS SIGN}" if origin > 0 else "+"
+    return f"{name} {sign} {abs(origin):,.0f}, m"
 
 
 def draw_message(axes: Axes, text: str) -> None:

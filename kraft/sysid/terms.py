@@ -137,7 +137,7 @@ def _wheelbase_note(identification: Identification, settings: Settings) -> list[
     return [
         f"poses do not show {WHEELBASE}, the wheelbase, but its ratio to the steering: it is taken as "
         f"{known.value:g} m, and wheel angles are those of such a car; state the measured one "
-        f"(--param {WHEELBASE}=...), with which predictions are about the same"
+        f"(--param {WHEELBASE}=...), with which predictions of a car whose wheels turn little are about the same"
     ]
 
 

@@ -177,6 +177,18 @@ def test_the_logs_alone_are_drawn_with_why_nothing_came_of_them(tmp_path: Path) 
     assert (tmp_path / "logs.png").stat().st_size > 10_000
 
 
+def test_large_coordinates_are_counted_from_an_origin_that_the_axis_names() -> None:
+    shift = np.array([432_150.0, -5_321_950.0, 0.0])
+    far = [replace(log, parts=tuple(replace(part, poses=part.poses + shift) for part in log.parts)) for log in LOGS]
+    with plot_style():
+        figure = compose_logs(MUSHR, far, "logs show no motion")
+        figure.canvas.draw()
+        floor = next(axes for axes in figure.axes if axes.get_xlabel().startswith("x"))
+        ticks = [label.get_text() for axis in (floor.xaxis, floor.yaxis) for label in axis.get_ticklabels()]
+    assert (floor.get_xlabel(), floor.get_ylabel()) == ("x \N{MINUS SIGN} 432,100, m", "y + 5,322,000, m")
+    assert all(0.0 <= float(tick) < 100.0 for tick in ticks), ticks
+
+
 @pytest.mark.parametrize("poses", [1, 2, 3])
 def test_a_log_of_a_few_poses_can_be_drawn(poses: int) -> None:
     (part,) = LOGS[0].parts
