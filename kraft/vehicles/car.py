@@ -80,7 +80,7 @@ def acceleration(v: float, effective: float, lateral: float, turned: float, slid
     root = sqrt(square * square + wide * wide)
     moving, sense = square / root, v / sqrt(root)
     along = pushed if pushed * v > 0.0 else 0.0  # a car that drives away has its full friction at once
-    used = along if -brake < along < brake else (brake if along > 0.0 else -brake)
+    used = brake if along > brake else (-brake if along < -brake else along)
     against = brake * sense + (1.0 - (sense if sense > 0.0 else -sense)) * used
     driven = moving * (pushed - against) + (1.0 - moving) * (beyond - held)
     return driven - (p[13] + p[12] * size) * v - p[15] * v * (v if v > 0.0 else -v)

@@ -144,8 +144,8 @@ def test_a_terminal_that_was_closed_gets_no_more_messages_and_hinders_nothing() 
         import time
         from kraft_cli import signals, terminal
         signals.set_handler(signals.raise_stopped)
-        print("x", flush=True)
         try:
+            print("x", flush=True)
             time.sleep(30)
         except KeyboardInterrupt as error:
             terminal.Terminal().problem("lost")
