@@ -45,9 +45,8 @@ def driven(truth: Mapping[str, float], acting: Floats, step: float) -> Floats:
 
 
 def _beyond(truth: Mapping[str, float], throttle: Matrix) -> Matrix:
-    """Throttle beyond the dead zone, weaker backwards."""
-    sense = np.where(throttle < 0.0, -truth["reverse"], 1.0)
-    beyond: Matrix = sense * np.maximum(np.abs(throttle) - truth["dead_zone"], 0.0)
+    """Throttle beyond the dead zone."""
+    beyond: Matrix = np.sign(throttle) * np.maximum(np.abs(throttle) - truth["dead_zone"], 0.0)
     return beyond
 
 

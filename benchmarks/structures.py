@@ -47,7 +47,6 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "delay": (0.05, 0.2),
     "lever": (0.05, 0.2),
     "yaw_offset": (0.03, 0.1),
-    "reverse": (0.4, 0.8),
 }
 """Sizes of the terms that are on."""
 SIGNED: Final = ("asymmetry", "lever", "yaw_offset")
