@@ -17,7 +17,7 @@ from kraft.evaluation.manifest import MANIFEST, check_same_manifest, manifest_of
 from kraft.evaluation.ompl_benchmark import write_benchmark
 from kraft.evaluation.report import CommandLine, Results
 from kraft.evaluation.summary import FILE as SUMMARY
-from kraft.evaluation.summary import SCHEMA, Summary, evaluation_json, wall_of
+from kraft.evaluation.summary import SCHEMA, Summary, evaluation_json, recorded_wall, wall_of
 from kraft.files import check_writable, write_json, write_whole
 
 ROOT: Final = Path("results")
@@ -39,7 +39,7 @@ class Folder:
     @property
     def wall(self) -> float:
         """Time for which the evaluation has run, s."""
-        return wall_of(self.path, self.rows.values())
+        return wall_of(recorded_wall(self.path), self.rows.values())
 
 
 def default_path(seed: int, root: Path = ROOT) -> Path:

@@ -224,12 +224,12 @@ def measures_json(measures: Measures) -> dict[str, Any]:
     }
 
 
-def wall_of(folder: Path, rows: Iterable[TrialRow]) -> float:
-    """Time for which an evaluation has run, s: until the last of its trials ended, or as in its summary if it has one.
+def wall_of(recorded: float | None, rows: Iterable[TrialRow]) -> float:
+    """Time for which an evaluation has run, s: until the last of its trials ended, or as its summary has `recorded`.
 
     A command that was killed wrote no summary, and older evaluations have no times of trials.
     """
-    return max(recorded_wall(folder) or 0.0, elapsed(rows))
+    return max(recorded or 0.0, elapsed(rows))
 
 
 def recorded_wall(folder: Path) -> float | None:

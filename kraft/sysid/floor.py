@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from kraft.sysid.log_motion import SPAN, STEP, are_of_cars, motions, sums_of
-from kraft.sysid.screening import GROUP_DELAYS, driving_terms, unexplained
-from ompl_ext.arrays import Floats
+from kraft.sysid.screening import GROUP_DELAYS, driving_terms, regressed, unexplained
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log
@@ -37,8 +36,8 @@ def leaning_floor(logs: Sequence[Log]) -> str:
     for delay in GROUP_DELAYS:
         samples = [driving_terms(m, delay) for m in found]
         terms, change = (np.concatenate(columns) for columns in zip(*samples, strict=True))
-        both = np.column_stack([terms, pull])
-        tried.append((unexplained(both, change), unexplained(terms, change), _slope(both, change)))
+        factors, left = regressed(np.column_stack([terms, pull]), change)
+        tried.append((left, unexplained(terms, change), factors[-2:]))
     left, without, (x, y) = min(tried, key=lambda each: each[0])
     if without - left < LEAST or left > RATIO * without:
         return ""
@@ -47,10 +46,3 @@ def leaning_floor(logs: Sequence[Log]) -> str:
         f"the car gains about {math.hypot(x, y):.2g} m/s^2 in the direction {direction:.0f} deg of the map, whatever "
         "is commanded: the floor leans, which this model lacks; drive on a level floor, or identify mushr-force"
     )
-
-
-def _slope(terms: Floats, change: Floats) -> tuple[float, float]:
-    """Factors of the last two of the terms, m/s^2."""
-    scale = np.sqrt(np.mean(terms**2, axis=0)) + 1e-12
-    factors = np.linalg.lstsq(terms / scale, change, rcond=None)[0] / scale
-    return float(factors[-2]), float(factors[-1])

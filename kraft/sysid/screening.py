@@ -78,13 +78,19 @@ def speed_error(found: Sequence[Motion], delay: float, *, swapped: bool = False)
 
 def unexplained(terms: Matrix, values: Floats) -> float:
     """Share of the sum of squares of `values` (n,) that is left by least squares on `terms` (n, k)."""
+    return regressed(terms, values)[1]
+
+
+def regressed(terms: Matrix, values: Floats) -> tuple[Floats, float]:
+    """Factors (k,) of `terms` (n, k) by least squares, and the share of the squares of `values` (n,) that is left."""
     whole = float(values @ values)
     if whole <= 0.0:
-        return 1.0
-    scaled = terms / (np.sqrt(np.mean(terms**2, axis=0)) + 1e-12)
+        return np.zeros(terms.shape[1]), 1.0
+    scale = np.sqrt(np.mean(terms**2, axis=0)) + 1e-12
+    scaled = terms / scale
     slope = scaled.T @ values
     fit = np.linalg.solve(scaled.T @ scaled + RIDGE * len(values) * np.eye(scaled.shape[1]), slope)
-    return max(1.0 - float(fit @ (2.0 * slope - scaled.T @ (scaled @ fit))) / whole, 0.0)
+    return fit / scale, max(1.0 - float(fit @ (2.0 * slope - scaled.T @ (scaled @ fit))) / whole, 0.0)
 
 
 def turns_before_steered(logs: Sequence[Log]) -> bool:

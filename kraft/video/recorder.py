@@ -96,9 +96,8 @@ class VideoRecorder:
         """
         self._gl.make_current()
         spec = self._spec
-        world = self._world or world_of(
-            spec.scenario, spec.vehicle, spec.seed
-        )  # it has no tick if it starts in the goal
+        # a trial that starts in the goal has no tick
+        world = self._world or world_of(spec.scenario, spec.vehicle, spec.seed)
         renderer = self._begun(world)
         snapshot = self._snapshots.now(world)
         picture = self._overlay.over(renderer.picture(snapshot), snapshot, result)

@@ -1,4 +1,4 @@
-"""Cars with terms: the model, its fit over windows, and the choice of terms by what they predict."""
+"""Cars with terms: their fit over windows, and the choice of terms by what they predict."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.cars import LEVER, STEP, TRUTH, car, drive
 from support.logs import RAMPS, needs_real_logs
 
 from kraft.errors import InputError
@@ -37,99 +38,10 @@ from kraft.sysid.terms import identify_terms
 from kraft.sysid.unexplained import unexplained_stretches
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import configured, load_vehicle
-from ompl_ext.vehicle import Vehicle
-
-STEP, EVERY = 0.02, 2
-TRUTH = {
-    "L": 0.33, "steer": 0.36, "a_drive": 3.0, "damping": 1.2, "friction": 0.5, "dead_zone": 0.0, "back_emf": 0.0,
-    "drag": 0.0, "scrub": 0.0, "understeer": 0.0, "slide": 0.0, "slip": 0.0, "saturation": 0.0,
-}  # fmt: skip
-LEVER = 0.12
-
-
-def car(**values: float) -> Vehicle:
-    return load_vehicle("car", parameters={**TRUTH, **values})
-
-
-def drive(
-    model: Vehicle, seed: int, seconds: float = 15.0, low: tuple[float, float] = (0.15, -1.0), high: float = 1.0
-) -> Log:
-    """Random levels of both commands, observed with 1 mm and 3 mrad at a tracked point ahead of the model's."""
-    rng, steps = np.random.default_rng(seed), round(seconds / STEP)
-    levels = np.repeat(rng.uniform(low, high, (steps // 40 + 1, 2)), 40, axis=0)[:steps]
-    start = np.zeros((1, len(model.state)))
-    controls = np.ascontiguousarray(levels[:, None, :])
-    states = DiscreteModel(model).simulate(start, controls, model.parameter_array[None], np.array([STEP]))[:, 0]
-    states = states[::EVERY]
-    poses = states[:, :3] + rng.normal(0.0, [0.001, 0.001, 0.003], (len(states), 3))
-    poses[:, :2] += LEVER * np.column_stack([np.cos(states[:, 2]), np.sin(states[:, 2])])
-    part = Part(STEP * np.arange(steps), levels, STEP * EVERY * np.arange(len(states)), poses)
-    return Log(f"drive_{seed}", (), tuple(model.controls), (part,))
 
 
 def car_file() -> VehicleConfig:
     return load_vehicle_config("car")
-
-
-def test_friction_holds_the_car_at_rest_and_brings_it_to_rest() -> None:
-    model = DiscreteModel(car())
-    moving = np.array([[0.0, 0.0, 0.0, 1.0]])
-    for throttle in (0.0, 0.1):  # 0.3 m/s^2 is less than the friction
-        controls = np.tile([throttle, 0.0], (100, 1, 1))
-        coasting = model.simulate(moving, controls, car().parameter_array[None], np.array([0.05]))[:, 0]
-        assert abs(coasting[-1, 3]) < 1e-3
-        assert (np.diff(coasting[:, 3]) <= 1e-9).all()
-        resting = model.simulate(0.0 * moving, controls, car().parameter_array[None], np.array([0.05]))[:, 0]
-        assert np.abs(resting[:, 3]).max() < 1e-6
-
-
-@pytest.mark.parametrize("step", [0.01, 0.1])
-@pytest.mark.parametrize("friction", [0.1, 0.3, 1.0])
-def test_a_car_rolls_out_as_far_as_dry_friction_lets_it(friction: float, step: float) -> None:
-    """From 0.5 m/s, without other losses: v^2 / (2 friction), and the car does not swing about standstill."""
-    model = car(friction=friction, damping=0.0, lever=0.0)
-    start, controls = np.array([[0.0, 0.0, 0.0, 0.5]]), np.zeros((round(8.0 / step), 1, 2))
-    states = DiscreteModel(model).simulate(start, controls, model.parameter_array[None], np.array([step]))[:, 0]
-    assert states[-1, 0] == pytest.approx(0.5**2 / (2.0 * friction), rel=0.02)
-    assert states[:, 3].min() > -1e-3
-
-
-@pytest.mark.parametrize(("speed", "drive"), [(0.0, 1.05), (0.0, 1.5), (0.5, -1.5), (0.5, -3.0)])
-def test_a_car_drives_away_and_reverses_as_dry_friction_lets_it(speed: float, drive: float) -> None:
-    """Drive over friction: constant acceleration to either side of standstill, at which friction changes its sense."""
-    friction, step, time = 1.0, 0.01, 2.0
-    model = car(friction=friction, damping=0.0, back_emf=0.0, dead_zone=0.0, lever=0.0)
-    start, count = np.array([[0.0, 0.0, 0.0, speed]]), round(time / step)
-    controls = np.tile([drive * friction / model.parameters["a_drive"], 0.0], (count, 1, 1))
-    states = DiscreteModel(model).simulate(start, controls, model.parameter_array[None], np.array([step]))[:, 0]
-    at_rest = speed / (abs(drive) + friction)  # time of the standstill, s
-    after = (abs(drive) - friction) * (time - at_rest)
-    assert abs(states[-1, 3]) == pytest.approx(after, abs=0.005)
-
-
-def test_friction_that_vanishes_has_no_effect_on_a_coasting_car() -> None:
-    start, controls = np.array([[0.0, 0.0, 0.0, 0.05]]), np.zeros((40, 1, 2))
-    ends = []
-    for friction in (0.0, 1e-6):
-        model = car(friction=friction)
-        ends.append(
-            DiscreteModel(model).simulate(start, controls, model.parameter_array[None], np.array([0.05]))[-1, 0]
-        )
-    np.testing.assert_allclose(ends[0], ends[1], atol=1e-4)
-
-
-@pytest.mark.parametrize("speed", [1.0, 1.01, 1.02, 1.03])
-def test_brakes_that_jump_at_standstill_are_as_exact_with_long_steps(speed: float) -> None:
-    model = load_vehicle("car-lag", parameters={"brake": 2.8})
-    start, ends = np.zeros((1, 6)), {}
-    start[0, model.index("v")] = speed
-    for step in (0.05, 0.0005):
-        controls = np.tile([-0.5, 0.3], (round(1.5 / step), 1, 1))
-        ends[step] = DiscreteModel(model).simulate(start, controls, model.parameter_array[None], np.array([step]))[
-            -1, 0
-        ]
-    assert ends[0.05][model.index("v")] < -0.5
-    np.testing.assert_allclose(ends[0.05], ends[0.0005], atol=0.005)
 
 
 def test_the_wheels_at_the_beginning_of_a_window_follow_from_the_commands_before_it() -> None:

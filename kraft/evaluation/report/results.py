@@ -238,21 +238,23 @@ def read_results(folder: Path, command_line: CommandLine | None = None) -> Resul
         raise InputError([Diagnostic(str(file), "is damaged", expected, path=where, code=Code.SYNTAX)]) from None
     trials = {(cell.name, cell.method, seed) for cell in found.rows for seed in found.seeds}
     rows = journal.read_journal(folder / journal.NAME, trials)
-    _check_summary(folder)
-    summary = tabulate(found.names, found.seeds, rows, wall_of(folder, rows.values()), realtime=found.realtime)
+    wall = wall_of(_recorded_wall(folder), rows.values())
+    summary = tabulate(found.names, found.seeds, rows, wall, realtime=found.realtime)
     replays = journal.Replays(folder / journal.REPLAYS)
     return Results(found, rows, summary, _unchanged(found), command_line, replays)
 
 
-def _check_summary(folder: Path) -> None:
-    """Check that the summary of a finished evaluation can be read.
+def _recorded_wall(folder: Path) -> float:
+    """Duration of the evaluation in its summary, s; 0 if it is unfinished.
 
     Raises:
-        InputError: if it is damaged.
+        InputError: if the summary is damaged.
     """
-    if recorded_wall(folder) is None:
+    wall = recorded_wall(folder)
+    if wall is None:
         expected = "expected the summary that kraft eval writes; resuming the evaluation writes it again"
         raise InputError.of(str(folder / SUMMARY), "is damaged", expected, Code.SYNTAX)
+    return wall
 
 
 def _unchanged(found: Manifest) -> dict[str, Scenario]:
