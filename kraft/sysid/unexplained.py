@@ -8,7 +8,7 @@ many times its usual size and large for a car.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 TAPS: Final = (0.0, 0.1, 0.2, 0.3, 0.4)
 """Ages of the commands that take part, s."""
 SWEEPS: Final = (0.2, 0.4, 0.6, 0.8, 1.2, 1.6, 2.4, 3.2)
-"""Times in which a slow servo may turn the wheels by the largest command, s."""
+"""Times in which a slow servo or a speed controller may follow the largest command, s."""
 SLOW: Final = 0.5
-"""Share of what is left of the yaw rate with a servo at once, up to which one of these times explains it."""
+"""Share of what is left with a command that acts at once, up to which one of these times explains it."""
 LOOK_AHEAD: Final = 0.5
 """Time over which the change of the speed is explained, s."""
 SMOOTHED: Final = 5
@@ -89,8 +89,9 @@ def _is_dense(part: Part) -> bool:
 def _left(found: Sequence[Motion]) -> list[tuple[Floats, Floats, Floats]]:
     """What the regressions leave of speed, yaw rate and sideways speed, over the least that counts; (n,) each."""
     ahead = round(LOOK_AHEAD / STEP)
-    speed = _residuals([_speed_terms(m, ahead) for m in found], [m.speed[ahead:] - m.speed[:-ahead] for m in found])
-    rate = _rate_residuals(found)
+    changes = [m.speed[ahead:] - m.speed[:-ahead] for m in found]
+    speed = _residuals_of(found, 0, changes, lambda m, throttle: _speed_terms(m, throttle, ahead))
+    rate = _residuals_of(found, 1, [m.rate for m in found], _rate_terms)
     side = _residuals([_side_terms(m) for m in found], [m.side for m in found])
     high = float(np.quantile(np.abs(np.concatenate([m.speed for m in found])), 0.9))
     turning = float(np.quantile(np.abs(np.concatenate([m.rate for m in found])), 0.9))
@@ -109,24 +110,26 @@ def _larger(change: Floats, ahead: int) -> Floats:
     return np.where(np.abs(begun) >= np.abs(ended), begun, ended)
 
 
-def _speed_terms(m: Motion, ahead: int) -> Matrix:
-    """Terms (n - ahead, k) of the change of the speed over the next samples."""
+def _speed_terms(m: Motion, throttle: Floats, ahead: int) -> Matrix:
+    """Terms (n - ahead, k) of the change of the speed over the next samples; `throttle` (n,) acts in them."""
     v, terms = m.speed[:-ahead], []
     for age in TAPS[::2]:
-        u = m.commands(age)[:, 0]
+        u = _before(throttle, age)
         for signal in (u, u * np.abs(u), np.maximum(u, 0.0)):
             terms.append(sums_of(signal, ahead) / ahead)
     return np.column_stack([*terms, v, v * np.abs(v), np.tanh(10.0 * v), v * m.rate[:-ahead] ** 2, np.ones(len(v))])
 
 
-def _rate_residuals(found: Sequence[Motion]) -> list[Floats]:
-    """What is left of the yaw rate (n,), with the wheels turned at once or, where that explains far more, in time."""
-    rates, full = [m.rate for m in found], max(float(np.abs(m.commands()[:, 1]).max()) for m in found)
-    at_once = _residuals([_rate_terms(m, m.commands()[:, 1]) for m in found], rates)
+def _residuals_of(
+    found: Sequence[Motion], column: int, values: Sequence[Floats], terms: Callable[[Motion, Floats], Matrix]
+) -> list[Floats]:
+    """What is left of values (n,) if a command acts at once or, where that explains far more, gradually."""
+    full = max(float(np.abs(m.commands()[:, column]).max()) for m in found)
+    at_once = _residuals([terms(m, m.commands()[:, column]) for m in found], values)
     least, best = SLOW * _square(at_once), at_once
     for sweep in SWEEPS:
         step = full * STEP / sweep
-        slow = _residuals([_rate_terms(m, _followed(m.commands()[:, 1], step)) for m in found], rates)
+        slow = _residuals([terms(m, _followed(m.commands()[:, column], step)) for m in found], values)
         if _square(slow) < least:
             least, best = _square(slow), slow
     return best
@@ -137,7 +140,7 @@ def _square(residuals: Sequence[Floats]) -> float:
 
 
 def _followed(commands: Floats, step: float) -> Floats:
-    """Angle (n,) that follows commands (n,) by at most `step` from sample to sample."""
+    """Command (n,) that follows commands (n,) by at most `step` from sample to sample."""
     followed, at = np.empty(len(commands)), float(commands[0])
     for k, wanted in enumerate(commands.tolist()):
         at += min(max(wanted - at, -step), step)

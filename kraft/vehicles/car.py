@@ -11,6 +11,7 @@ which are 1):
     drive     a (1 + progression |u|) u, u the throttle less its dead zone, times `reverse` backwards; times `brake`
               against the motion
     losses    (damping + back_emf |u|) v + drag v |v|, friction against the motion, scrub of turned wheels
+    effort    inverse of the largest acceleration by drive, damping and back_emf together: that of a speed controller
     steering  phi_diff + steer (1 +- asymmetry) n / sqrt(1 + (saturation n)^2), n the steering
     tyres     curvature tan(delta) / (L (1 + understeer v^2)); lateral acceleration at most 1 / slide; slip of the body
     pose      lever and yaw_offset of what is tracked
@@ -63,12 +64,22 @@ def actuation(u: Values, p: Values) -> Values:
 
 
 @derivative
+def limited(demand: float) -> float:
+    """Share of a demand that is reached; `demand` is a multiple of the largest one."""
+    square = demand * demand
+    return 1.0 / sqrt(sqrt(1.0 + square * square))
+
+
+@derivative
 def acceleration(v: float, effective: float, lateral: float, turned: float, sliding: float, p: Values) -> float:
     """Acceleration along the car (m/s^2), `lateral` its lateral acceleration, `turned` the tangent of the angle."""
     size = effective if effective > 0.0 else -effective
     contrary = -effective * v
     opposed = contrary / sqrt(contrary * contrary + 1e-6) if contrary > 0.0 else 0.0
-    pushed = p[8] * effective * (1.0 + p[10] * size) * (1.0 + (p[11] - 1.0) * opposed)
+    wanted = p[8] * effective * (1.0 + p[10] * size) * (1.0 + (p[11] - 1.0) * opposed)
+    damping = p[13] + p[12] * size
+    share = limited(p[24] * (wanted - damping * v))
+    pushed = share * wanted
     drag = lateral * turned
     brake = p[14] + p[16] * (drag if drag > 0.0 else -drag) + p[20] * (sliding if sliding > 0.0 else -sliding)
     beyond = (pushed - brake if pushed > brake else 0.0) + (pushed + brake if pushed < -brake else 0.0)
@@ -83,15 +94,14 @@ def acceleration(v: float, effective: float, lateral: float, turned: float, slid
     used = brake if along > brake else (-brake if along < -brake else along)
     against = brake * sense + (1.0 - (sense if sense > 0.0 else -sense)) * used
     driven = moving * (pushed - against) + (1.0 - moving) * (beyond - held)
-    return driven - (p[13] + p[12] * size) * v - p[15] * v * (v if v > 0.0 else -v)
+    return driven - share * damping * v - p[15] * v * (v if v > 0.0 else -v)
 
 
 @derivative
 def curvature(v: float, turned: float, p: Values) -> float:
     """Curvature of the path (1/m) with wheels turned by an angle of the given tangent."""
     wanted = turned / (p[3] * (1.0 + p[17] * v * v))
-    demand = v * v * wanted * p[18]
-    return wanted / sqrt(sqrt(1.0 + demand * demand * demand * demand))
+    return wanted * limited(v * v * wanted * p[18])
 
 
 @derivative
@@ -119,12 +129,12 @@ def lagging(x: Values, u: Values, p: Values) -> Values:
     """Derivative of the car whose wheels and yaw rate follow with a lag."""
     _, _, theta, v, delta, r = x
     turned = tan(delta)
-    rate = (u[1] - delta) / p[24]
-    limited = rate / sqrt(1.0 + rate * rate * p[26] * p[26])
+    rate = (u[1] - delta) / p[25]
+    turning = rate / sqrt(1.0 + rate * rate * p[27] * p[27])
     bend = curvature(v, turned, p)
     sliding = v * r * (turned - p[3] * bend)
     vx, vy = velocity(theta, v, r, p)
-    return vx, vy, r, acceleration(v, u[0], v * r, turned, sliding, p), limited, (v * bend - r) / p[25]
+    return vx, vy, r, acceleration(v, u[0], v * r, turned, sliding, p), turning, (v * bend - r) / p[26]
 
 
 @derivative
@@ -169,6 +179,7 @@ CAR = Vehicle(
         "lever": 0.0,
         "yaw_offset": 0.0,
         "reverse": 1.0,
+        "effort": 0.0,
     },
     footprint=Footprint(0.45, 0.28, 0.13),
     top_speed=5.0,
