@@ -73,7 +73,9 @@ def _speed_after(truth: Mapping[str, float], v: Floats, r: Floats, delta: Floats
         + truth["scrub"] * np.abs(lateral * turned)
         + truth["skid"] * np.abs(lateral * (turned - truth["L"] * bend))
     )
-    losses = (truth["damping"] + truth["back_emf"] * np.abs(u)) * v + truth["drag"] * v * np.abs(v)
-    rolling = v + SUBSTEP * (push - losses)
+    driven = push - (truth["damping"] + truth["back_emf"] * np.abs(u)) * v
+    if truth["effort"] > 0.0:
+        driven = np.clip(driven, -1.0 / truth["effort"], 1.0 / truth["effort"])
+    rolling = v + SUBSTEP * (driven - truth["drag"] * v * np.abs(v))
     after: Floats = np.sign(rolling) * np.maximum(np.abs(rolling) - SUBSTEP * friction, 0.0)
     return after

@@ -47,6 +47,7 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "delay": (0.05, 0.2),
     "lever": (0.05, 0.2),
     "yaw_offset": (0.03, 0.1),
+    "effort": (0.3, 0.6),
 }
 """Sizes of the terms that are on."""
 SIGNED: Final = ("asymmetry", "lever", "yaw_offset")

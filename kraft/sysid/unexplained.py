@@ -123,13 +123,15 @@ def _speed_terms(m: Motion, throttle: Floats, ahead: int) -> Matrix:
 def _residuals_of(
     found: Sequence[Motion], column: int, values: Sequence[Floats], terms: Callable[[Motion, Floats], Matrix]
 ) -> list[Floats]:
-    """What is left of values (n,) if a command acts at once or, where that explains far more, gradually."""
-    full = max(float(np.abs(m.commands()[:, column]).max()) for m in found)
-    at_once = _residuals([terms(m, m.commands()[:, column]) for m in found], values)
+    """What is left of values (n,) if a command acts at once or, where that explains far more, gradually as well."""
+    commands = [m.commands()[:, column] for m in found]
+    full = max(float(np.abs(u).max()) for u in commands)
+    prompt = [terms(m, u) for m, u in zip(found, commands, strict=True)]
+    at_once = _residuals(prompt, values)
     least, best = SLOW * _square(at_once), at_once
     for sweep in SWEEPS:
-        step = full * STEP / sweep
-        slow = _residuals([terms(m, _followed(m.commands()[:, column], step)) for m in found], values)
+        gradual = [terms(m, _followed(u, full * STEP / sweep)) for m, u in zip(found, commands, strict=True)]
+        slow = _residuals([np.column_stack(both) for both in zip(prompt, gradual, strict=True)], values)
         if _square(slow) < least:
             least, best = _square(slow), slow
     return best

@@ -69,3 +69,20 @@ def test_brakes_that_jump_at_standstill_are_as_exact_with_long_steps(speed: floa
         ]
     assert ends[0.05][model.index("v")] < -0.5
     np.testing.assert_allclose(ends[0.05], ends[0.0005], atol=0.005)
+
+
+@pytest.mark.parametrize("step", [0.01, 0.1])
+def test_a_speed_controller_accelerates_and_brakes_at_its_limit(step: float) -> None:
+    """To 3 m/s and back with 2 m/s^2, and then with the time constant 1 / damping."""
+    limit, damping = 2.0, 6.0
+    model = car(a_drive=3.0 * damping, damping=damping, friction=0.0, effort=1.0 / limit, lever=0.0)
+    controls = np.zeros((round(4.0 / step), 1, 2))
+    controls[: len(controls) // 2, :, 0] = 1.0
+    states = DiscreteModel(model).simulate(
+        np.zeros((1, 4)), controls, model.parameter_array[None], np.array([step])
+    )[:, 0]  # fmt: skip
+    speed = dict(zip(np.round(step * np.arange(len(states)), 6).tolist(), states[:, 3].tolist(), strict=True))
+    assert speed[1.0] == pytest.approx(limit, rel=0.02)
+    assert speed[2.0] == pytest.approx(3.0, rel=0.02)
+    assert speed[3.0] == pytest.approx(3.0 - limit, abs=0.06)
+    assert speed[4.0] == pytest.approx(0.0, abs=0.06)

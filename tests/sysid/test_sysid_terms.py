@@ -130,6 +130,26 @@ def test_throttle_backwards_that_only_brakes_does_not_show_the_drive_backwards()
     assert "reverse" not in search.candidates
 
 
+CONTROLLER = {"a_drive": 18.0, "damping": 6.0, "friction": 0.0, "effort": 0.5}
+"""A speed controller: 3 m/s at full command, at most 2 m/s^2."""
+
+
+def test_the_largest_acceleration_of_a_speed_controller_is_found() -> None:
+    logs = [drive(car(**CONTROLLER), seed, low=(-0.3, -1.0)) for seed in range(6)]
+    found = identify_terms(car_file(), logs[:5]).identification
+    assert found.values["effort"] == pytest.approx(CONTROLLER["effort"], rel=0.03)
+    assert found.values["a_drive"] / found.values["damping"] == pytest.approx(3.0, rel=0.02)
+    assert prediction_errors(car_file(), logs[5:], found.values).position[3.0] < 0.05
+
+
+def test_the_time_that_a_speed_controller_takes_is_no_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = car(**CONTROLLER | {"effort": 0.2})
+    logs = [drive(model, seed, 20.0, low=(-0.5, -1.0)) for seed in range(8)]
+    assert unexplained_stretches(logs) == ()
+    monkeypatch.setattr(unexplained, "SWEEPS", ())
+    assert len(unexplained_stretches(logs)) == 2
+
+
 def search_for_slide(slide: float) -> StructureSearch:
     """Search for a limit of the lateral acceleration, in drives of a car that hardly reaches it."""
     model = car(slide=slide)
