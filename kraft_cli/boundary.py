@@ -122,12 +122,20 @@ def _with_option(diagnostic: Diagnostic) -> Diagnostic:
 def _explain_usage(terminal: Terminal, error: typer.TyperException) -> ExitStatus:
     unread = _unread_value(error)
     if unread is None:
-        terminal.error(error.format_message())
+        terminal.error(_usage_message(error))
     else:
         terminal.problem(str(unread))
     context = getattr(error, "ctx", None)
     terminal.problem(f"try '{context.command_path if context else 'kraft'} --help'")
     return ExitStatus.INVALID
+
+
+def _usage_message(error: typer.TyperException) -> str:
+    """Message of an error of usage; where an option precedes the name of its command, it says so."""
+    option, context = getattr(error, "option_name", None), getattr(error, "ctx", None)
+    if option is None or context is None or context.parent is not None:
+        return error.format_message()
+    return f"No such option before the command: {option}; expected it after, as in 'kraft COMMAND {option}'"
 
 
 def _unread_value(error: typer.TyperException) -> Diagnostic | None:

@@ -68,13 +68,22 @@ def find(kind: Kind, name_or_path: str | Path) -> Path:
     if isinstance(name_or_path, str) and is_name(name_or_path):
         if name_or_path in names(kind):
             return folder(kind) / f"{name_or_path}.yaml"
+        if os.path.isdir(name_or_path):
+            raise _is_folder(kind, name_or_path)
         expected = suggestion(name_or_path, names(kind), none=f"no {kind} is bundled")
         problem = f"there is no {kind} of this name"
         raise InputError.of(name_or_path, problem, f"{expected} (or the path of a .yaml file)", Code.NOT_FOUND)
     path = Path(name_or_path)
     if not os.path.exists(path):
         raise InputError.of(str(path), "there is no such file", _nearby(kind, path), Code.NOT_FOUND)
+    if os.path.isdir(path):
+        raise _is_folder(kind, str(path))
     return path
+
+
+def _is_folder(kind: Kind, path: str) -> InputError:
+    expected = f"expected the path of a .yaml file or the name of a {kind}"
+    return InputError.of(path, "is a folder", expected, Code.MISMATCH)
 
 
 def is_name(text: str) -> bool:

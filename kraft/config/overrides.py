@@ -19,6 +19,7 @@ from kraft.config.yaml_reader import parse_document
 from kraft.errors import Code, Diagnostic, InputError
 
 EXAMPLE: Final = "expected KEY=VALUE, as in sensing.noise_scale=2"
+SWEEP_EXAMPLE: Final = "expected KEY=V1,V2, as in sensing.noise_scale=0,1,2"
 _WORD: Final = re.compile(r"[A-Za-z_./][\w./-]*")
 """Text that needs no quotes in YAML, unless it is `_UNQUOTED`."""
 _UNQUOTED: Final = re.compile(r"null|true|false|[-+.]?(inf|nan|[\d.]+.*)", re.IGNORECASE)
@@ -72,11 +73,11 @@ def parse_sweeps(texts: Iterable[str], argument: str) -> tuple[tuple[Override, .
     problems: list[Diagnostic] = []
     for text in texts:
         try:
-            key, values = _split(text, argument)
+            key, values = _split(text, argument, SWEEP_EXAMPLE)
             given = _value(key, f"[{values}]", argument)
             place = Place(argument, argument=True)
             if not isinstance(given, tuple) or not given:
-                raise InputError([place.diagnostic(key, "has no value", "expected KEY=V1,V2,...", Code.MISSING)])
+                raise InputError([place.diagnostic(key, "has no value", SWEEP_EXAMPLE, Code.MISSING)])
             problems += repeated_values(key, given, place)
             found.append(tuple(Override(key, value, place) for value in given))
         except InputError as error:
@@ -169,11 +170,11 @@ def plain_value(value: Value) -> Any:
     return [plain_value(each) for each in value] if isinstance(value, tuple) else value
 
 
-def _split(text: str, argument: str) -> tuple[str, str]:
+def _split(text: str, argument: str, expected: str = EXAMPLE) -> tuple[str, str]:
     key, equals, value = text.partition("=")
     key = key.strip()
     if not equals or not _parsed(key):
-        raise InputError([Place(argument, argument=True).diagnostic("", f"is {text!r}", EXAMPLE, Code.SYNTAX)])
+        raise InputError([Place(argument, argument=True).diagnostic("", f"is {text!r}", expected, Code.SYNTAX)])
     return key, value
 
 

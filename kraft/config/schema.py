@@ -6,7 +6,20 @@ import types
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias, TypeVar, Union, get_args, get_origin
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Final,
+    Literal,
+    Self,
+    TypeAlias,
+    TypeGuard,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+)
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 from pydantic.fields import FieldInfo
@@ -64,6 +77,11 @@ LENGTH_MIN: Final = 0.001
 LENGTH_MAX: Final = 10_000.0
 """Metres. A larger workspace is a typing mistake, and grids over it would not fit into memory."""
 
+_USUAL: Final = frozenset({"name", "description"})
+"""Keys of files of most kinds."""
+KEYS_OF_ANOTHER_KIND: Final = 3
+"""Number of unknown keys from which on a file without a known one counts as a file of another kind."""
+
 NAME: Final = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$"
 """Pattern of the name of what a file defines."""
 Name: TypeAlias = Annotated[str, StringConstraints(pattern=NAME)]
@@ -94,6 +112,8 @@ _NOUNS = {
     "dict_type": "a mapping",
     "mapping_type": "a mapping",
 }
+_KEY_NOUNS: Final[Mapping[Any, str]] = {float: "a number", int: "a whole number"}
+"""What a missing key is to be given, where its description is only a unit or a quantity."""
 _LIMITS = {
     "greater_than": ("gt", "greater than"),
     "greater_than_equal": ("ge", "of at least"),
@@ -118,6 +138,10 @@ def read_model(path: Path, model: type[Model]) -> tuple[Model, Document]:
 def check(model: type[Model], document: Document) -> tuple[Model | None, list[Diagnostic]]:
     """Validate a document. Returns the model or None, and all problems, those of the syntax included."""
     problems = list(document.problems)
+    if _is_of_another_kind(model, document.data):
+        expected = f"expected the keys {', '.join(_fields(model))}"
+        other = document.source.diagnostic((), "none of the keys is known", expected, code=Code.MISMATCH)
+        return None, [*problems, other]
     value = None
     try:
         value = model.model_validate(document.data)
@@ -132,6 +156,13 @@ def check(model: type[Model], document: Document) -> tuple[Model | None, list[Di
                 problems.append(_diagnostic(model, document, detail))
         problems = list(dict.fromkeys([*problems, *_across_keys(model, document)]))
     return (None if problems else value), problems
+
+
+def _is_of_another_kind(model: type[BaseModel], data: object) -> bool:
+    """Whether a file has several keys, and none of them is one of the schema alone, not even misspelt."""
+    keys = {str(key) for key in data} - _USUAL if isinstance(data, Mapping) else set()
+    known = _fields(model)
+    return len(keys) >= KEYS_OF_ANOTHER_KIND and not any(key in known or nearest(key, known) for key in keys)
 
 
 def build(model: type[Model], content: Mapping[str, Any], origin: str) -> Model:
@@ -155,13 +186,35 @@ def part(model: type[Model], value: Value) -> Model | None:
 
 
 def _across_keys(model: type[BaseModel], document: Document) -> Iterator[Diagnostic]:
-    """Problems between the keys of the file, which pydantic checks only if every single key is right."""
-    if issubclass(model, StrictModel) and isinstance(document.data, dict):
-        for error in model.across_keys(document.data):
+    """Problems between keys of one mapping, which pydantic checks only if every single key of it is right."""
+    for at, section, content in _sections(model, document.data):
+        for error in section.across_keys(content):
             context = error.context or {}
-            if not _already_reported(context["at"], document):
+            path = (*at, *context["at"])
+            if not _already_reported(path, document):
                 problem, expected = context["problem"], context["expected"]
-                yield document.source.diagnostic(context["at"], problem, expected, code=context["code"])
+                yield document.source.diagnostic(path, problem, expected, code=context["code"])
+
+
+def _sections(
+    annotation: Any, value: object, at: KeyPath = ()
+) -> Iterator[tuple[KeyPath, type[StrictModel], Mapping[str, object]]]:
+    """Every mapping in a value that has a schema of its own, with its path and its schema."""
+    annotation = _bare(annotation)
+    if isinstance(value, tuple):
+        items = get_args(annotation)
+        if get_origin(annotation) is tuple and Ellipsis in items:
+            for k, item in enumerate(value):
+                yield from _sections(items[0], item, (*at, k))
+    elif isinstance(value, Mapping):
+        annotation = _kinds(annotation).get(str(value.get("kind")), annotation)
+        if isinstance(annotation, type) and issubclass(annotation, StrictModel):
+            yield at, annotation, value
+            for key, known in _fields(annotation).items():
+                yield from _sections(known.annotation, value.get(key), (*at, key))
+        elif get_origin(annotation) in (dict, Mapping) and len(get_args(annotation)) == 2:
+            for key, item in value.items():
+                yield from _sections(get_args(annotation)[1], item, (*at, str(key)))
 
 
 def _misspelt(model: type[BaseModel], details: list[ErrorDetails]) -> set[KeyPath]:
@@ -228,8 +281,14 @@ def _missing(source: Source, path: KeyPath, known: Known, discriminator: str) ->
         about = f" ({known.description})" if known.description else ""
         return source.diagnostic(path[:-1], "the list is too short", f"expected {known.length} items{about}")
     else:
-        expected = f"expected {known.description or 'it'}"
+        noun, meaning = _KEY_NOUNS.get(known.annotation), known.description
+        expected = f"expected {noun} ({meaning})" if noun and meaning else f"expected {meaning or noun or 'it'}"
     return source.diagnostic(path, "the key is missing", expected, code=Code.MISSING)
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether a value of a file, which may be anything, is a number."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def describe(value: object) -> str:
@@ -247,9 +306,10 @@ def describe(value: object) -> str:
 
 @dataclass(frozen=True)
 class Known:
-    """Description, keys and their synonyms, choices and length that the schema has for one place."""
+    """Description, type, keys and their synonyms, choices and length that the schema has for one place."""
 
     description: str | None = None
+    annotation: Any = None
     keys: tuple[str, ...] = ()
     choices: tuple[str, ...] = ()
     length: int = 0
@@ -268,7 +328,7 @@ def lookup(model: type[BaseModel], path: KeyPath) -> Known:
         keys = tuple(_fields(annotation))
         synonyms = annotation.synonyms if issubclass(annotation, StrictModel) else {}
     choices = tuple(str(c) for c in get_args(annotation)) if get_origin(annotation) is Literal else ()
-    return Known(description, keys, choices, length, synonyms)
+    return Known(description, annotation, keys, choices, length, synonyms)
 
 
 def in_file(model: type[BaseModel], path: KeyPath) -> KeyPath:

@@ -6,15 +6,24 @@ Each file of `configs/methods/` is one row of a results table; a new method need
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeGuard
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
 
 from kraft.config import bundled
-from kraft.config.schema import Name, NonNegative, Positive, Probability, StrictModel, read_model, refuse
+from kraft.config.schema import (
+    Name,
+    NonNegative,
+    Positive,
+    Probability,
+    StrictModel,
+    is_number,
+    read_model,
+    refuse,
+)
 from kraft.config.source import Source
 from kraft.driving.control_settings import PREDICTIVE, ControllerSettings, Seconds
 from kraft.errors import Code, InputError
@@ -77,11 +86,7 @@ class CalibratedBound(StrictModel):
 def _numbers(value: object) -> tuple[float, ...]:
     """Numbers of a list; none if not all of its items are numbers."""
     items = tuple(value) if isinstance(value, list | tuple) else ()
-    return items if all(_is_number(item) for item in items) else ()
-
-
-def _is_number(value: object) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return items if all(is_number(item) for item in items) else ()
 
 
 OF_CONTINGENCIES: Final = frozenset({"safety", "bound", "recover", "on_board", "contingencies", "watchdog"})
@@ -195,18 +200,16 @@ class PlannerSettings(StrictModel):
             problem, expected = "is given without first_iterations", "expected first_iterations, too"
             yield refuse(problem, expected, ("first_max_iterations",), Code.CONFLICT)
         yield from cls._misordered(given)
-        if isinstance(given["bound"], Mapping):
-            yield from _within("bound", CalibratedBound.across_keys(given["bound"]))
 
     @classmethod
     def _misordered(cls, given: Mapping[str, object]) -> Iterator[PydanticCustomError]:
         """Check that the lead is shorter than the cycle, and largest budgets are no smaller than the usual ones."""
         lead, cycle = given["lead"], given["cycle"]
-        if _is_number(lead) and _is_number(cycle) and lead >= cycle:
+        if is_number(lead) and is_number(cycle) and lead >= cycle:
             yield refuse(f"is {lead:g}, not less than the cycle", f"expected less than {cycle:g}", ("lead",))
         for most, least in (("max_iterations", "iterations"), ("first_max_iterations", "first_iterations")):
             largest, usual = given[most], given[least]
-            if _is_number(largest) and _is_number(usual) and largest < usual:
+            if is_number(largest) and is_number(usual) and largest < usual:
                 yield refuse(f"is {largest}, less than {least}", f"expected at least {usual}", (most,))
 
 
@@ -221,13 +224,6 @@ def _section(value: object) -> Mapping[str, object]:
     if isinstance(value, StrictModel):
         return dict(value)
     return value if isinstance(value, Mapping) else {}
-
-
-def _within(key: str, errors: Iterable[PydanticCustomError]) -> Iterator[PydanticCustomError]:
-    """Problems of a section, at their places in the mapping that has the section at `key`."""
-    for error in errors:
-        context = error.context or {}
-        yield refuse(context["problem"], context["expected"], (key, *context["at"]), context["code"])
 
 
 class Latest(StrictModel):
@@ -341,11 +337,10 @@ class Method(StrictModel):
 
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
-        """Check each part, and that estimator and controller have what the planner needs."""
+        """Check that estimator and controller have what the planner needs."""
         planner, estimator, controller = (
             _section(content.get(name)) for name in ("planner", "estimator", "controller")
         )
-        yield from _within("planner", PlannerSettings.across_keys(planner))
         kind = estimator.get("kind", "latest" if "estimator" not in content else None)
         if _with_effect(planner).get("bound") is not None and kind not in ("adaptive", None):
             problem = f"needs the uncertainty of the estimate, which the estimator {kind} does not state"

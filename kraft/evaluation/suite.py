@@ -18,7 +18,7 @@ from pydantic import Field, StringConstraints
 from kraft.config import bundled
 from kraft.config.document import Document, Value
 from kraft.config.overrides import Override, overrides_of, plain_value, repeated, repeated_values, value_text
-from kraft.config.schema import Name, StrictModel, check
+from kraft.config.schema import Name, StrictModel, check, part
 from kraft.config.source import Place, Source
 from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError
@@ -197,10 +197,9 @@ def repeated_names(noun: str, names: Iterable[str]) -> Iterator[Diagnostic]:
 def _suite_drafts(path: Path, problems: list[Diagnostic]) -> list[_Draft]:
     """Entries of a suite file, not loaded; problems of the file itself are added to `problems`."""
     document = read_document(path)
-    content, found = check(SuiteFile, document)
-    problems += [*found, *_repeated_entries(document)]
+    problems += [*check(SuiteFile, document)[1], *_repeated_entries(document)]
     drafts = []
-    for k, entry in enumerate(content.entries if content is not None else ()):
+    for k, entry in _valid_entries(document):
         reference = entry.scenario if bundled.is_name(entry.scenario) else path.parent / entry.scenario
         try:
             bundled.find("scenario", reference)
@@ -213,6 +212,15 @@ def _suite_drafts(path: Path, problems: list[Diagnostic]) -> list[_Draft]:
                 for d in error.diagnostics
             ]
     return drafts
+
+
+def _valid_entries(document: Document) -> Iterator[tuple[int, EntryFile]]:
+    """Entries that are valid by themselves, with their numbers: their scenarios are checked whatever else is wrong."""
+    entries = document.data.get("entries") if isinstance(document.data, dict) else None
+    for k, content in enumerate(entries if isinstance(entries, tuple) else ()):
+        entry = part(EntryFile, content)
+        if entry is not None:
+            yield k, entry
 
 
 def _entry_overrides(

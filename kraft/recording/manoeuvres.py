@@ -17,7 +17,6 @@ import numpy as np
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import write_csv
 from kraft.logs.table import read_csv
-from kraft.text import suggestion
 from ompl_ext.arrays import Floats, Matrix
 
 DURATION: Final = 20.0
@@ -157,7 +156,9 @@ def read_commands(path: Path, limits: Mapping[str, tuple[float, float]]) -> Mano
         raise InputError.of(str(path), problem, "expected a readable file", Code.UNREADABLE) from error
     table = read_csv(path, content)
     missing = [
-        Diagnostic(str(path), f"has no column {name}", suggestion(name, table.columns), code=Code.MISSING)
+        Diagnostic(
+            str(path), f"has no column {name!r}", f"expected the columns t, {', '.join(limits)}", 1, code=Code.MISSING
+        )
         for name in ("t", *limits)
         if name not in table.columns
     ]

@@ -20,6 +20,7 @@ from kraft.config.schema import (
     Size,
     Span,
     StrictModel,
+    is_number,
     refuse,
 )
 from kraft.errors import Code
@@ -246,18 +247,19 @@ class GoalFile(StrictModel):
     limits: dict[str, tuple[Component, Component]] = Field(default_factory=dict)
     """lowest and highest value on arrival of further components of the vehicle's state, {v: [-0.05, 0.05]}, SI units"""
 
-    @model_validator(mode="after")
-    def _both_or_none(self) -> Self:
-        if (self.heading_deg is None) != (self.heading_tolerance_deg is None):
-            given, other = "heading_deg", "heading_tolerance_deg"
-            if self.heading_deg is None:
-                given, other = other, given
-            raise refuse(f"is given without {other}", "expected both or none", (given,), Code.CONFLICT)
-        for name, (low, high) in self.limits.items():
-            if low >= high:
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Check that heading and tolerance are given together, and the order of each interval."""
+        heading, tolerance = "heading_deg", "heading_tolerance_deg"
+        for given, other in ((heading, tolerance), (tolerance, heading)):
+            if content.get(given) is not None and content.get(other) is None:
+                yield refuse(f"is given without {other}", "expected both or none", (given,), Code.CONFLICT)
+        limits = content.get("limits")
+        for name, interval in limits.items() if isinstance(limits, Mapping) else ():
+            low, high = interval if isinstance(interval, Sequence) and len(interval) == 2 else (None, None)
+            if is_number(low) and is_number(high) and low >= high:
                 problem = f"the interval [{low:g}, {high:g}] is empty or inverted"
-                raise refuse(problem, "expected [low, high] with low < high", ("limits", name))
-        return self
+                yield refuse(problem, "expected [low, high] with low < high", ("limits", str(name)))
 
 
 class ScenarioFile(StrictModel):

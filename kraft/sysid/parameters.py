@@ -183,12 +183,12 @@ def _with_value(spec: ParameterSpec, values: Mapping[str, float]) -> ParameterSp
 
 
 def out_of_bounds(spec: ParameterSpec, values: Mapping[str, float]) -> Diagnostic | None:
-    """The problem with the value that `values` gives a parameter; None if it is within the bounds."""
+    """Problem of the argument `values` with the value of a parameter; None if it is within the bounds."""
     value = values.get(spec.name, spec.value)
     if spec.min <= value <= spec.max:
         return None
     expected = f"expected a value from {spec.min:g} to {spec.max:g}{spec.unit_text}"
-    return Diagnostic(spec.name, f"is {value:g}", expected)
+    return Diagnostic("values", f"is {value:g}", expected, path=spec.name, argument=True)
 
 
 YAW_RATES = ("omega", "yaw_rate", "r", "w")

@@ -4,15 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated
 
-from pydantic import (
-    AfterValidator,
-    Field,
-    PlainValidator,
-    PrivateAttr,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, PlainValidator, PrivateAttr
 from pydantic_core import PydanticCustomError
 
 from kraft.config import bundled
@@ -26,6 +20,7 @@ from kraft.config.schema import (
     Symbol,
     build,
     describe,
+    is_number,
     read_model,
     refuse,
 )
@@ -212,15 +207,16 @@ class Parameter(StrictModel):
     variation: Annotated[float, Field(ge=0)] = 0.0
     """standard deviation of its changes during a drive, such as those of a battery, a motor or a linkage"""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.min is not None and self.max is not None and self.min >= self.max:
-            raise refuse(f"is {self.min:g}, not below max", f"expected less than {self.max:g}", ("min",), Code.CONFLICT)
-        if self.min is not None and self.value < self.min:
-            raise refuse(f"is {self.value:g}, below min", f"expected at least {self.min:g}", ("value",))
-        if self.max is not None and self.value > self.max:
-            raise refuse(f"is {self.value:g}, above max", f"expected at most {self.max:g}", ("value",))
-        return self
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Check that the bounds are in order and that the value is within them."""
+        value, low, high = (content.get(name) for name in ("value", "min", "max"))
+        if is_number(low) and is_number(high) and low >= high:
+            yield refuse(f"is {low:g}, not below max", f"expected less than {high:g}", ("min",), Code.CONFLICT)
+        elif is_number(value) and is_number(low) and value < low:
+            yield refuse(f"is {value:g}, below min", f"expected at least {low:g}", ("value",))
+        elif is_number(value) and is_number(high) and value > high:
+            yield refuse(f"is {value:g}, above max", f"expected at most {high:g}", ("value",))
 
 
 class Footprint(StrictModel):

@@ -372,7 +372,7 @@ def _places(document: Document) -> dict[str, Place]:
 def _other_shapes(content: ProblemFile, document: Document) -> list[Diagnostic]:
     """One problem for each type of obstacle that is not read, at the first one."""
     types = [each.type for each in content.environment.obstacles]
-    expected = f"expected {alternatives(SHAPES)}, or that others are skipped"
+    expected = f"expected {alternatives(SHAPES)}, or `skip` to leave out all others"
     return [
         document.source.diagnostic(
             ("environment", "obstacles", types.index(kind), "type"),

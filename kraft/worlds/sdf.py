@@ -261,7 +261,7 @@ class _Reader:
         first: dict[str, Element] = {}
         for kind, element in self.others:
             first.setdefault(kind, element)
-        expected = "expected upright cylinders, boxes and spheres, or that others are skipped"
+        expected = "expected upright cylinders, boxes and spheres, or `skip` to leave out all others"
         return [
             Diagnostic(
                 self.file,

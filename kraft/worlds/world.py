@@ -152,7 +152,7 @@ def check_new(out: Path) -> None:
         InputError: if it exists or cannot be written.
     """
     if out.exists():
-        raise InputError.of_argument("out", f"{out} exists", "expected a new folder", Code.EXISTS)
+        raise InputError.of_argument("out", f"{out} is there already", "expected a new folder", Code.EXISTS)
     check_writable(out)
 
 

@@ -211,7 +211,7 @@ def _at_parameter_option(diagnostic: Diagnostic, parameters: Mapping[str, float]
 def _previous(request: PlanRequest, task: Task | None, report: Callable[[str], None]) -> Previous | None:
     if request.previous is None:
         if request.after != 0.0:
-            raise InputError.of("--after", "is given without --from", "expected both or none", Code.CONFLICT)
+            raise InputError.of("--after", "is given without --from", "expected --from PLAN too", Code.CONFLICT)
         return None
     if not (math.isfinite(request.after) and request.after >= 0):
         raise InputError.of("--after", f"is {request.after:g}", "expected a number of at least 0, s")

@@ -138,7 +138,15 @@ def _check_settings(base: BaseVehicle, settings: Settings) -> None:
         check_settings(base.definition, settings)
         check_free_parameters(base.definition, settings)
     except InputError as error:
-        raise InputError(replace(d, file=OPTIONS.get(d.file, d.file)) for d in error.diagnostics) from None
+        raise InputError(_at_option(d) for d in error.diagnostics) from None
+
+
+def _at_option(diagnostic: Diagnostic) -> Diagnostic:
+    """Same problem, reported at the option of the command instead of at the field of `Settings`."""
+    option = OPTIONS.get(diagnostic.file, diagnostic.file)
+    if option == "param" and diagnostic.path:
+        return replace(diagnostic, file=f"--param {diagnostic.path}", path="", argument=False)
+    return replace(diagnostic, file=option)
 
 
 def _parse_settings(request: SysidRequest, base: BaseVehicle | None, problems: list[Diagnostic]) -> Settings:

@@ -19,6 +19,8 @@ COMMANDS = {
         "--graph, --holdout, --horizon, --next, --param, --pose-noise, a.gif, b.txt, foo, no.yaml, nologs",
     "sysid nologs --model mushr --next 50 --area 3 --commands /proc/x": "--area, --next, /proc/x, nologs",
     "sysid nologs --model mushr --freeze zz --param L=nan": "--freeze, --param, nologs",
+    "sysid nologs --param L=-1": "--param L, nologs",
+    "sysid nologs --model mushr --param L=-1 --param q=2": "--param, --param L, nologs",
     "record nosuch --vehicle nope --for zip --commands nofile --runs 3 --bag a.txt --out /proc/x":
         "--bag, --for, --runs, /proc/x, nofile, nope, nosuch, zip",
     "eval nosuch other.yaml --methods kraft,foo --suite nosuite": "--suite, foo, nosuch, nosuite, other.yaml",

@@ -71,6 +71,12 @@ def test_all_problems_of_all_files_are_shown(files: Path, capsys: pytest.Capture
         (["plan", "good.yml"], 2, "good.yml: there is no such file; did you mean 'good.yaml'?\n"),
         (["list", "vehicle"], 2, "vehicle: cannot be listed; did you mean 'vehicles'?\n"),
         (["lst"], 2, "error: No such command 'lst'. Did you mean 'list'?\ntry 'kraft --help'\n"),
+        (["plan", "--json", "turnz", "--after", "1"], 2, "--after: is given without --from; expected --from PLAN too\nturnz: there is no scenario of this name; did you mean 'turns'? (or the path of a .yaml file)\n"),
+        (["--json", "plan", "turns"], 2, "error: No such option before the command: --json; expected it after, as in 'kraft COMMAND --json'\ntry 'kraft --help'\n"),
+        (["plan", "folder"], 2, "folder: is a folder; expected the path of a .yaml file or the name of a scenario\n"),
+        (["plan", "folder.yaml"], 2, "folder.yaml: is a folder; expected the path of a .yaml file or the name of a scenario\n"),
+        (["eval", "--suite", "good.yaml"], 2, "good.yaml:1:1: none of the keys is known; expected the keys name, description, entries\n"),
+        (["eval", "turns", "--vary", "goal.radius"], 2, "--vary: is 'goal.radius'; expected KEY=V1,V2, as in sensing.noise_scale=0,1,2\n"),
         (["plan", "wall.yaml"], 1, "error: the goal is unreachable: no path from the start is wide enough for the footprint\n"),
     ],
 )  # fmt: skip
@@ -80,6 +86,8 @@ def test_messages_read_like_this(
     """The golden messages of the command line; all other tests compare places and codes."""
     wall = "obstacles: [{box: {center: [2, 2], size: [0.2, 4]}}]\n"
     (files / "wall.yaml").write_text(GOOD + wall)
+    for name in ("folder", "folder.yaml"):
+        (files / name).mkdir()
     assert main(argv) == status
     assert capsys.readouterr().err == message
 

@@ -52,7 +52,8 @@ def test_every_problem_of_a_suite_has_its_place(tmp_path: Path) -> None:
         tmp_path,
         "  - {name: a, scenario: boxs}\n"
         "  - {name: b, scenario: boxes, set: {sensing.noise_scal: 3, sensing.dropout: 1.5}}\n"
-        "  - {name: b, scenario: boxes, set: {sensing.rate_hz: x, a..b: 1}}\n",
+        "  - {name: b, scenario: boxes, set: {sensing.rate_hz: x, a..b: 1}}\n"
+        "  - {scenario: turns}\n",
     )
     problems = raised(lambda: load_suite(path))
     assert located(problems) == [
@@ -62,6 +63,7 @@ def test_every_problem_of_a_suite_has_its_place(tmp_path: Path) -> None:
         "5:12 entries[2].name duplicate",
         "5:55 sensing.rate_hz type",
         "5:58 a..b syntax",
+        "6:5 entries[3].name missing",
     ]
     assert {d.file for d in problems} == {str(path)}
 

@@ -325,7 +325,7 @@ def broken(**arrays: object) -> list[Log]:
         (list(logs()[:1]), Settings(frozen=("Tau",)), "frozen", Code.UNKNOWN),
         (list(logs()[:1]), Settings(auxiliary=("leverage",)), "auxiliary", Code.UNKNOWN),
         (list(logs()[:1]), Settings(process={"theta": -1.0}), "process", Code.VALUE),
-        (list(logs()[:1]), Settings(values={"L": 7.0}), "L", Code.VALUE),
+        (list(logs()[:1]), Settings(values={"L": 7.0}), "values", Code.VALUE),
         (list(logs()[:1]), Settings(values={"delay": 0.1}, auxiliary="none"), "values", Code.CONFLICT),
         (list(logs()[:1]), Settings(frozen=("side",), auxiliary=("lever",)), "frozen", Code.CONFLICT),
         (list(logs()[:1]), replace(PLAIN, frozen=tuple(TRUTH)), "frozen", Code.CONFLICT),

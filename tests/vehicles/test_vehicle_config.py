@@ -135,6 +135,15 @@ def test_a_wrong_vehicle_file_is_explained(old: str, new: str, expected: str, tm
     assert problems_of(tmp_path, CAR.replace(old, new)) == [expected]
 
 
+def test_a_value_out_of_its_bounds_is_reported_whatever_else_is_wrong(tmp_path: Path) -> None:
+    text = CAR.replace("value: 0.3, unit: m,", "value: 0.5,").replace("top_speed: 1.0\n", "")
+    assert problems_of(tmp_path, text) == [
+        "1:1 top_speed missing",
+        "4:3 parameters.L.unit missing",
+        "4:14 parameters.L.value value",
+    ]
+
+
 def test_an_unknown_vehicle_is_answered_with_the_nearest_one() -> None:
     (problem,) = raised(lambda: load_vehicle_config("musrh"))
     assert (problem.file, problem.code) == ("musrh", Code.NOT_FOUND)
