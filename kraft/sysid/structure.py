@@ -366,13 +366,13 @@ class StructureSearch:
         apart = [abs(s.begin - begin) if s.log == piece.segment.log else math.inf for s in self.windows.segments]
         return int(self.windows.fold[int(np.argmin(apart))])
 
-    def path(self) -> list[Structure]:
-        """Structures from all terms to few, each without the term that costs least.
+    def path(self, every: Structure | None = None) -> list[Structure]:
+        """Structures from all terms (`every`, fitted here if left out) to few, each without the term that costs least.
 
         Terms that the first fit left at their neutral value are switched off together.  The path ends where several
         structures in a row predict worse than the best.
         """
-        found = [self.full()]
+        found = [every or self.full()]
         p, rho = found[0].graph.problem.parameters, found[0].optimum.point.rho
         away = np.abs(rho - [spec.neutral if spec.neutral is not None else np.inf for spec in p.specs])
         idle = [name for name in found[0].terms if away[p.index(name)] <= AT_BOUND * (p.high - p.low)[p.index(name)]]

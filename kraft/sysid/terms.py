@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,7 +66,7 @@ def identify_terms(
         settings: None for the defaults.
         on_iteration: called after each iteration with the number of iterations and the cost.
         simpler: a model with fewer states, which is chosen with the same terms if it predicts as well, and with its own
-            if it predicts better: the other one may have lags that the vehicle lacks.
+            if it predicts better or, with all terms, as well: the other one may have lags that the vehicle lacks.
 
     Raises:
         InputError: if the logs cannot be used, or a control never changes in them.
@@ -73,23 +74,18 @@ def identify_terms(
     usable, settings, held = _prepared(vehicle, logs, settings or Settings())
     steered = SteeringInMotion.of(usable)
     search = StructureSearch(vehicle, usable, settings, on_iteration)
-    best, final, path, trials = _searched(search)
+    found = searched(search)
     if simpler is not None and steered.changes:
         other = StructureSearch(simpler, usable, settings, on_iteration)
-        other.growth = search.growth
-        alike = other.alike(best)
-        final.iterations += other.iterations
-        trials.append(alike)
-        if set(best.terms) <= set(alike.terms) and is_near(alike, best_of(path), NEGLIGIBLE_LOSS):
-            vehicle, best = simpler, alike
-        elif not is_near(best, alike, NEGLIGIBLE_LOSS):
-            own = StructureSearch(simpler, usable, settings, on_iteration)
-            own.iterations = final.iterations
-            vehicle, trials = simpler, trials[:-1]
-            best, final, _, more = _searched(own)
-            trials += more
-    identification = _identified(best, final, usable, settings)
-    rows = tuple(_trial(s, chosen=s is best, horizon=settings.horizon) for s in trials)
+        other.growth, other.iterations = search.growth, found.final.iterations
+        alike = other.alike(found.best)
+        own = StructureSearch(simpler, usable, settings, on_iteration)
+        own.iterations = other.iterations
+        richer, found = found, simplified(found, alike, own)
+        vehicle = vehicle if found.best is richer.best else simpler
+        found.final.iterations = max(found.final.iterations, own.iterations)
+    identification = _identified(found.best, found.final, usable, settings)
+    rows = tuple(_trial(s, chosen=s is found.best, horizon=settings.horizon) for s in found.trials)
     notes = [f"not identified, because only turns to both sides show them: {', '.join(held)}"] if held else []
     notes += _wheelbase_note(identification, settings)
     return ModelChoice(vehicle, replace(identification, trials=rows, notes=(*identification.notes, *notes)))
@@ -116,17 +112,49 @@ def _prepared(
     return usable, replace(settings, frozen=(*settings.frozen, *held)), held
 
 
-def _searched(
-    search: StructureSearch,
-) -> tuple[Structure, StructureSearch, list[Structure], list[Structure]]:
-    """The chosen structure with the search that fitted it last, the path to few terms, and all structures to report."""
-    path = search.path()
+class Searched(NamedTuple):
+    """Result of a search for the terms that the logs need."""
+
+    best: Structure
+    """the chosen structure"""
+    final: StructureSearch
+    """the search that fitted it last"""
+    path: list[Structure]
+    """structures from all terms to few"""
+    trials: list[Structure]
+    """all structures to report"""
+
+
+def searched(search: StructureSearch, every: Structure | None = None) -> Searched:
+    """Search for the terms that the logs need; `every` is the fit of all terms, if it is known."""
+    path = search.path(every)
     simplest = search.converged(chosen(path))
     best = search.completed(simplest, path)
     best = search.pruned(best) if search.is_exact(best) else best
     best, final = search.in_long_windows(best, path)
     trials = [simplest if s.terms == simplest.terms else s for s in path]
-    return best, final, path, trials + ([] if best is simplest else [best])
+    return Searched(best, final, path, trials + ([] if best is simplest else [best]))
+
+
+def simplified(found: Searched, alike: Structure, own: StructureSearch) -> Searched:
+    """What was found, or what the simpler model gives if that predicts as well.
+
+    Args:
+        found: of the model with more states.
+        alike: the simpler model with the same terms.
+        own: search for the terms of the simpler model.
+    """
+    if set(found.best.terms) <= set(alike.terms) and is_near(alike, best_of(found.path), NEGLIGIBLE_LOSS):
+        return found._replace(best=alike, trials=[*found.trials, alike])
+    every, better = own.full(), not is_near(found.best, alike, NEGLIGIBLE_LOSS)
+    # lags that the vehicle lacks bend the choice of other terms, with which the simpler model predicts badly as well
+    if not better and not is_near(every, found.path[0], NEGLIGIBLE_LOSS):
+        return found._replace(trials=[*found.trials, alike])
+    other = searched(own, every)
+    trials = [*found.trials, *other.trials]
+    if better or is_near(other.best, found.best, NEGLIGIBLE_LOSS):
+        return other._replace(trials=trials)
+    return found._replace(trials=trials)
 
 
 def _wheelbase_note(identification: Identification, settings: Settings) -> list[str]:

@@ -15,6 +15,7 @@ from kraft.sysid.parameters import parameters_of
 from kraft.sysid.selection import is_shown
 from kraft.sysid.structure import StructureSearch
 from kraft.sysid.structure_choice import Structure, chosen
+from kraft.sysid.terms import Searched, simplified
 from kraft.vehicles.config import load_vehicle_config
 
 FOLDS = 8
@@ -127,3 +128,55 @@ def with_slide(value: float, std: float, scatter: float = 0.0, by_windows: bool 
 )
 def test_the_likelihood_shows_a_term_that_is_more_probable_than_none(term: Structure, gain: float, shown: bool) -> None:
     assert is_shown(term.graph.problem.parameters, term.optimum, "slide", gain) is shown
+
+
+class KnownSearch(StructureSearch):
+    """A search whose structures are known."""
+
+    def __init__(self, *path: Structure) -> None:
+        self.known, self.searched = list(path), False
+
+    def full(self) -> Structure:
+        return self.known[0]
+
+    def path(self, every: Structure | None = None) -> list[Structure]:
+        self.searched = True
+        return self.known
+
+    def converged(self, structure: Structure) -> Structure:
+        return structure
+
+    def completed(self, structure: Structure, path: Any) -> Structure:
+        return structure
+
+    def is_exact(self, structure: Structure) -> bool:
+        return False
+
+    def in_long_windows(self, structure: Structure, path: Any) -> tuple[Structure, StructureSearch]:
+        return structure, self
+
+
+@pytest.mark.parametrize(
+    ("alike", "own", "taken"),
+    [
+        (1.02, [1.0, 1.0], "alike"),
+        (2.0, [0.6, 0.5], "own"),
+        (2.0, [1.2, 0.5], "richer"),
+        (0.8, [1.2, 0.5], "own"),
+    ],
+    ids=[
+        "as good with the same terms",
+        "no lags: as good with all terms and better with its own",
+        "lags: worse with all terms",
+        "better with the same terms",
+    ],
+)
+def test_lags_that_the_vehicle_lacks_do_not_hide_the_simpler_model(alike: float, own: list[float], taken: str) -> None:
+    path = [structure("drag slip tau", 1.0), structure("slip tau", 1.0)]
+    richer = Searched(path[1], UNUSED, path, path)
+    same = structure("slip tau" if taken == "alike" else "slip", alike)
+    search = KnownSearch(structure("drag slip", own[0]), structure("drag", own[1]))
+    found = simplified(richer, same, search)
+    assert found.best is {"alike": same, "own": search.known[1], "richer": path[1]}[taken]
+    assert sum(each is found.best for each in found.trials) == 1
+    assert search.searched == (taken == "own")
