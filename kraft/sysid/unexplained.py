@@ -36,6 +36,8 @@ DEVIATIONS: Final = 8.0
 """Usual sizes of what is left, above which a sample is unexplained, ..."""
 SPEED_SHARE, RATE_SHARE, SIDE_SHARE = 0.35, 0.5, 0.25
 """... if it is also larger than this share of the high speeds, yaw rates and, sideways, speeds."""
+GRIP_QUANTILE, GRIP_SHARE = 0.99, 0.7
+"""Quantile of the lateral accelerations that counts as high, and share of it from which on tyres may slide."""
 ROUNDS: Final = 12
 """Iterations of the robust regressions."""
 MARGIN: Final = 0.25
@@ -100,7 +102,22 @@ def _left(found: Sequence[Motion]) -> list[tuple[Floats, Floats, Floats]]:
         averaged = [_averaged(r) for r in residuals]
         usual = MAD * float(np.median(np.abs(np.concatenate(averaged))))
         scaled.append([a / max(DEVIATIONS * usual, least, 1e-9) for a in averaged])
-    return [(_larger(v, ahead), r, s) for v, r, s in zip(*scaled, strict=True)]
+    speeds, rates, sides = scaled
+    return [
+        (_larger(v, ahead), np.where(slides, 0.0, r), s)
+        for v, r, s, slides in zip(speeds, rates, sides, _sliding(found, rates), strict=True)
+    ]
+
+
+def _sliding(found: Sequence[Motion], left: Sequence[Floats]) -> list[Bools]:
+    """Whether the tyres may slide at each sample (n,), `left` (n,) the yaw rate that is not explained.
+
+    A car at the limit of its grip turns less than it is steered: no regression that is linear in the steering says so,
+    and these are the very drives that show the limit.  A car that is held has little lateral acceleration.
+    """
+    lateral = [np.abs(m.speed * m.rate) for m in found]
+    least = GRIP_SHARE * float(np.quantile(np.concatenate(lateral), GRIP_QUANTILE))
+    return [(size >= least) & (m.rate * own < 0.0) for m, size, own in zip(found, lateral, left, strict=True)]
 
 
 def _larger(change: Floats, ahead: int) -> Floats:

@@ -278,6 +278,15 @@ def test_a_slow_servo_is_no_disturbance(monkeypatch: pytest.MonkeyPatch) -> None
     assert len(unexplained_stretches(logs)) > 3
 
 
+def test_a_car_that_slides_at_the_limit_of_its_grip_is_no_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of six drives is fast: it turns less than steered, and it alone shows the limit."""
+    model = car(a_drive=6.0, damping=1.5, slide=0.25)
+    logs = [*(drive(model, seed, low=(0.15, -0.5), high=0.5) for seed in range(5)), drive(model, 5, low=(0.15, -0.6))]
+    assert unexplained_stretches(logs) == ()
+    monkeypatch.setattr(unexplained, "GRIP_SHARE", 100.0)
+    assert {s.what for s in unexplained_stretches(logs)} == {"turns otherwise than steered"}
+
+
 def test_a_variation_names_a_parameter_of_the_model_and_is_not_negative() -> None:
     with pytest.raises(InputError) as refused:
         identify_terms(car_file(), [drive(car(), 0)], Settings(variation={"a_drivee": 0.1, "phi_diff": -0.1}))
