@@ -1,0 +1,203 @@
+"""Replays of `report.html` in a real browser: what they show, how they are played, and where they come from."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import threading
+import urllib.request
+from pathlib import Path
+from urllib.error import HTTPError
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page
+from support.replays import unpacked, values_of
+from support.report_page import Driven, car, needs_chromium, open_trial, seek, shown
+
+from kraft.evaluation.journal import REPLAYS
+from kraft.evaluation.replay import packed, series
+from kraft.evaluation.report import write_report
+from kraft.evaluation.report.server import ReportServer
+from kraft_cli.work.run import run_command
+
+pytestmark = needs_chromium
+
+
+def test_a_link_opens_a_trial_and_the_numbers_under_the_cursor_are_the_recorded_ones(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url)
+    row = next(row for row in driven.evaluation.rows if row.key == ("turns", "kraft", 0))
+    assert tab.inner_text("#replay-title") == "turns, KRAFT, seed 0"
+    assert f"{row.outcome} after {row.t_s:.2f} s" in tab.inner_text("#replay-outcome")
+    drive = driven.drive("kraft", 0)
+    times, speeds, clearances = (values_of(drive[name]) for name in ("t", "speed", "clearance"))
+    k = len(times) // 2 // drive["every"] * drive["every"]
+    seek(tab, times[k])
+    assert shown(tab, "speed") == pytest.approx(speeds[k], abs=0.006)
+    assert shown(tab, "clearance") == pytest.approx(clearances[k // drive["every"]], abs=0.001)
+    assert row.min_clearance_m is not None
+    assert row.min_clearance_m - 0.001 <= min(clearances) <= row.min_clearance_m + 0.03
+
+
+def test_a_replay_plays_pauses_steps_and_goes_to_other_trials(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url)
+    begin = car(tab)
+    tab.select_option("#replay-speed", "8")
+    tab.click("#replay-play")
+    tab.wait_for_function("d => document.querySelector('#stage .car.body').getAttribute('d') !== d", arg=begin)
+    assert tab.inner_text("#replay-play") == "pause"
+    tab.keyboard.press("Space")
+    assert tab.inner_text("#replay-play") == "play"
+    seek(tab, 0.0)
+    cycles = driven.drive("kraft", 0)["cycles"]
+    for cycle in cycles[1:4]:
+        tab.keyboard.press("ArrowRight")
+        assert float(tab.input_value("#replay-time")) == pytest.approx(cycle["t"], abs=0.01)
+    tab.keyboard.press("ArrowLeft")
+    assert f"cycle 3 of {len(cycles)}" in (tab.get_attribute("#replay-time", "aria-valuetext") or "")
+    for layer in ("plan", "tree", "believed", "seen", "trail"):
+        assert len(tab.get_attribute(f"#stage .{layer}", "d") or "") > 10, layer
+    tab.keyboard.press("Shift+ArrowRight")
+    tab.wait_for_function("() => document.getElementById('replay-title').textContent.endsWith('seed 1')")
+    assert tab.evaluate("location.hash") == "#trial=turns/kraft/1"
+    tab.keyboard.press("Escape")
+    tab.wait_for_selector("#replay", state="hidden")
+    assert tab.evaluate("location.hash") == ""
+
+
+def test_the_space_bar_presses_the_button_that_has_the_focus(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url)
+    tab.focus("#replay-forward")
+    tab.keyboard.press("Space")
+    second = driven.drive("kraft", 0)["cycles"][1]["t"]
+    assert float(tab.input_value("#replay-time")) == pytest.approx(second, abs=0.01)
+    assert tab.inner_text("#replay-play") == "play"
+    tab.focus("#replay-close")
+    tab.keyboard.press("Space")
+    tab.wait_for_selector("#replay", state="hidden")
+
+
+def test_a_replay_ends_when_the_trial_does_with_the_last_pose_that_is_recorded(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url)
+    row = next(row for row in driven.evaluation.rows if row.key == ("turns", "kraft", 0))
+    last = values_of(driven.drive("kraft", 0)["t"])[-1]
+    assert row.t_s is not None
+    assert row.t_s > last + 0.005
+    seek(tab, row.t_s + 1.0)
+    assert tab.inner_text("#replay-clock") == f"{row.t_s:.2f} of {row.t_s:.2f} s"
+    end = car(tab)
+    seek(tab, last)
+    assert car(tab) == end
+
+
+def test_the_arrows_move_the_slider_that_has_the_focus_by_ticks(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url)
+    times = values_of(driven.drive("kraft", 0)["t"])
+    tab.focus("#replay-time")
+    for key, tick in (("ArrowRight", 1), ("ArrowRight", 2), ("ArrowUp", 3), ("ArrowLeft", 2), ("ArrowDown", 1)):
+        tab.keyboard.press(key)
+        assert float(tab.input_value("#replay-time")) == pytest.approx(times[tick], abs=0.006)
+    tab.keyboard.press("Shift+ArrowRight")
+    tab.wait_for_function("() => document.getElementById('replay-title').textContent.endsWith('seed 1')")
+
+
+def test_a_failed_trial_states_its_cause_and_the_obstacle_it_hit_is_red(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url, "oneshot-openloop", 1)
+    row = next(row for row in driven.evaluation.rows if row.key == ("turns", "oneshot-openloop", 1))
+    assert row.outcome == "collision"
+    assert row.cause is not None
+    assert f"{row.cause.kind}; {row.cause.text}" in tab.inner_text("#replay-outcome")
+    titles = tab.locator("#stage .hit title").all_text_contents()
+    assert [title.split(":")[0] for title in titles] == [row.obstacle]
+
+
+def test_a_wide_floor_plan_is_above_the_plots_and_a_tall_one_beside_them(tab: Page, driven: Driven) -> None:
+    tab.set_viewport_size({"width": 1440, "height": 900})
+    open_trial(tab, driven.url)
+    boxes = "() => ['#stage', '.panel'].map(e => document.querySelector(e).getBoundingClientRect())"
+    stage, panel = tab.evaluate(boxes)
+    assert panel["left"] > stage["right"]
+    tab.evaluate("document.querySelector('svg.floor').setAttribute('viewBox', '0 0 400 200')")
+    tab.evaluate("location.hash = ''")
+    tab.wait_for_selector("#replay", state="hidden")
+    tab.evaluate("location.hash = '#trial=turns/kraft/0'")
+    tab.wait_for_selector("#replay.landscape")
+    stage, panel = tab.evaluate(boxes)
+    assert panel["top"] > stage["bottom"]
+    assert stage["width"] > 1000
+
+
+def test_the_legend_names_only_what_the_floor_plan_has(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url)
+    assert tab.locator("[data-thing]:visible").count() == 0
+    assert not tab.locator("input[data-layer=hidden]").is_visible()
+    assert [text.split("\n")[-1] for text in tab.locator(".marks li:visible").all_inner_texts()] == [
+        "start, with its heading",
+        "goal",
+    ]
+    start, nose = (
+        tab.locator(f"#stage .{name}").evaluate("e => getComputedStyle(e).fill") for name in ("start", "nose")
+    )
+    assert start != nose
+
+
+def test_what_blocked_the_car_is_drawn_from_the_cycle_on_that_knows_it(
+    tab: Page, driven: Driven, tmp_path: Path
+) -> None:
+    open_trial(tab, driven.url)
+    entry = tab.locator("label:has(input[data-layer=blocked])")
+    assert not entry.is_visible()
+    folder = tmp_path / "blocked"
+    shutil.copytree(driven.folder, folder)
+    lines = [json.loads(line) for line in (folder / REPLAYS).read_text().splitlines()]
+    for line in lines:
+        drive = unpacked(line["drive"])
+        for cycle in drive["cycles"][2:]:
+            cycle["blocked"] = [[series(np.array(axis), 0.01) for axis in ([1.0, 1.4, 1.4, 1.0], [2.0, 2.0, 2.2, 2.2])]]
+        line["drive"] = packed(drive)
+    (folder / REPLAYS).write_text("".join(json.dumps(line) + "\n" for line in lines))
+    _, path = write_report(folder)
+    open_trial(tab, path.as_uri())
+    assert entry.is_visible()
+    times = [cycle["t"] for cycle in driven.drive("kraft", 0)["cycles"]]
+    seek(tab, times[1])
+    assert not tab.get_attribute("#stage .blocked", "d")
+    seek(tab, times[2])
+    assert tab.get_attribute("#stage .blocked", "d") == "M1.000 2.000L1.400 2.000L1.400 2.200L1.000 2.200z"
+    assert "1 assumed obstacle where the car was blocked" in tab.inner_text("#replay-cycle")
+    entry.click()
+    assert not tab.locator("#stage .blocked").is_visible()
+
+
+def test_wrong_links_and_trials_without_a_replay_say_so(tab: Page, driven: Driven, tmp_path: Path) -> None:
+    tab.goto(f"{driven.url}#trial=turns/kraft/99")
+    assert "does not have" in tab.inner_text("#replay-problem")
+    shutil.copytree(driven.folder, tmp_path / "old")
+    (tmp_path / "old" / REPLAYS).unlink()
+    _, path = write_report(tmp_path / "old")
+    tab.goto(f"{path.as_uri()}#trial=turns/kraft/0")
+    tab.wait_for_selector("#replay-problem:visible")
+    assert "No replay was recorded" in tab.inner_text("#replay-problem")
+
+
+def test_a_served_page_reads_replays_from_the_folder_and_from_this_machine_only(tab: Page, driven: Driven) -> None:
+    with ReportServer(driven.folder, run_command) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            assert server.server_address[0] == "127.0.0.1"
+            open_trial(tab, server.url)
+            assert tab.locator("script[type='text/plain']").count() == 0
+            tab.wait_for_function("() => document.querySelector('#stage .tree').getAttribute('d').length > 10")
+            long = f"replay/{'9' * 5000}/drive"
+            for path, host, status in (
+                ("", "evil.example", 403), ("replay/99/drive", None, 404), (long, None, 404), ("../x", None, 404)
+            ):  # fmt: skip
+                request = urllib.request.Request(server.url + path, headers={"Host": host} if host else {})
+                with pytest.raises(HTTPError) as caught:
+                    urllib.request.urlopen(request)
+                caught.value.close()
+                assert caught.value.code == status
+        finally:
+            server.shutdown()
+            thread.join()
