@@ -201,3 +201,72 @@ def test_a_served_page_reads_replays_from_the_folder_and_from_this_machine_only(
         finally:
             server.shutdown()
             thread.join()
+
+
+def test_a_refused_clipboard_is_said_and_the_button_offers_the_link_again(tab: Page, driven: Driven) -> None:
+    refuse = (
+        "() => { navigator.clipboard.writeText = () => Promise.reject(new DOMException('no', 'NotAllowedError')); }"
+    )
+    open_trial(tab, driven.url)
+    tab.evaluate(refuse)
+    tab.click("#replay-link")
+    tab.wait_for_function("() => document.getElementById('replay-link').textContent.startsWith('refused')")
+    tab.wait_for_function("() => document.getElementById('replay-link').textContent === 'copy link'")
+    tab.evaluate("() => { navigator.clipboard.writeText = async (text) => { window.copied = text; }; }")
+    tab.click("#replay-link")
+    tab.wait_for_function("() => document.getElementById('replay-link').textContent === 'copied'")
+    assert tab.evaluate("window.copied") == tab.url
+
+
+def test_at_the_ends_of_the_list_there_is_no_button_to_a_next_trial(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url)
+    assert tab.is_disabled("#replay-before")
+    for _ in range(3):
+        title = tab.inner_text("#replay-title")
+        tab.click("#replay-after")
+        tab.wait_for_function("t => document.getElementById('replay-title').textContent !== t", arg=title)
+    assert tab.is_disabled("#replay-after")
+    assert tab.is_enabled("#replay-before")
+    tab.keyboard.press("Shift+ArrowRight")
+    assert tab.inner_text("#replay-title") == "turns, OneShot + OpenLoop, seed 1"
+
+
+def test_the_keys_go_on_from_a_trial_without_a_replay(tab: Page, driven: Driven, tmp_path: Path) -> None:
+    folder = tmp_path / "partly"
+    shutil.copytree(driven.folder, folder)
+    lines = (folder / REPLAYS).read_text().splitlines(keepends=True)
+    others = (line for line in lines if (json.loads(line)["method"], json.loads(line)["seed"]) != ("kraft", 1))
+    (folder / REPLAYS).write_text("".join(others))
+    _, path = write_report(folder)
+    open_trial(tab, path.as_uri())
+    tab.keyboard.press("Shift+ArrowRight")
+    tab.wait_for_selector("#replay-problem:visible")
+    tab.keyboard.press("Shift+ArrowRight")
+    tab.wait_for_function("() => document.getElementById('replay-title').textContent.includes('OneShot')")
+
+
+def test_every_plot_has_the_time_below_it(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url)
+    end = float(tab.get_attribute("#replay-time", "max") or "")
+    plots = tab.locator("#plots svg")
+    assert plots.count() >= 4
+    for plot in plots.all():
+        times = [float(text[:-2]) for text in plot.locator("text").all_text_contents() if text.endswith(" s")]
+        assert times[0] == 0.0
+        assert end - times[1] < times[-1] <= end
+        boxes = plot.locator("text").evaluate_all("all => all.map(e => e.getBoundingClientRect().right)")
+        assert max(boxes) <= plot.evaluate("e => e.getBoundingClientRect().right")
+
+
+@pytest.mark.parametrize("width", [390, 600, 768])
+def test_the_controls_of_a_small_window_are_two_lines_at_most(width: int, tab: Page, driven: Driven) -> None:
+    tab.set_viewport_size({"width": width, "height": 844})
+    open_trial(tab, driven.url)
+    middles = tab.locator("#replay .controls > *").evaluate_all(
+        "all => all.map(e => e.getBoundingClientRect()).map(box => Math.round((box.top + box.bottom) / 40))"
+    )
+    assert len(set(middles)) <= 2
+    play, speed = (tab.locator(f"#replay-{name}").bounding_box() for name in ("play", "speed"))
+    assert play is not None
+    assert speed is not None
+    assert abs(play["y"] - speed["y"]) < 12

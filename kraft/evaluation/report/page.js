@@ -195,12 +195,17 @@ async function stored(trial, part) {
   return answer.text();
 }
 
+/** Trial that is `step` places after another: in the list as it is, if that has the other one; undefined at its ends. */
+function besides(trial, step) {
+  const all = list.found.includes(trial) ? list.found : trials;
+  return trial ? all[all.indexOf(trial) + step] : undefined;
+}
+
 let before = ""; // address to go back to when the replay is closed
 
 const player = new Player(
   (step) => {
-    const all = list.found.includes(player.trial) ? list.found : trials;
-    const next = all[all.indexOf(player.trial) + step];
+    const next = besides(player.trial, step);
     if (next) location.replace(`#trial=${key(next)}`);
   },
   () => { if (location.hash.startsWith("#trial=")) history.pushState(null, "", before || location.pathname + location.search); },
@@ -212,7 +217,7 @@ async function openTrial(trial) {
   player.open({
     title: `${trial.entry.name}, ${trial.method.title}, seed ${trial.seed}`,
     outcome: `${trial.text}${trial.time === null ? "" : ` after ${trial.time.toFixed(2)} s`}${cause}`,
-    look: trial.outcome, command: trial.command,
+    look: trial.outcome, command: trial.command, first: !besides(trial, -1), last: !besides(trial, 1),
   });
   try {
     const text = await stored(trial, "drive");

@@ -37,6 +37,7 @@ from kraft.text import counted, decimals
 LISTED: Final = 200  # unsuccessful trials of a scenario that are listed
 SHORTEST_AXIS: Final = 0.1  # of times, s: with a start in the goal every time is 0
 PAPERS: Final = {"desk": DESK, "tablet": TABLET, "phone": PHONE}  # the style sheet shows the picture that fits
+SCRIPTS: Final = ("replay.js", "plots.js", "page.js")  # parts of one module, in this order
 SAFE: Final = " !$'()*+,/:;=?@~"  # characters that need no escape in an address of data
 
 
@@ -52,7 +53,7 @@ def page(results: Results, *, served: bool = False) -> str:
         "section", element("h2", "Entries"), _key(shown, results.summary.failed > 0), *sections, id="entries"
     )
     replay = ElementTree.fromstring(_part("replay.html"))
-    script = element("script", _part("replay.js"), _part("page.js"), type="module")
+    script = element("script", *(_part(name) for name in SCRIPTS), type="module")
     parts = [
         overview(results), causes(results), methods(results), _sweeps(results), trials_section(), entries
     ]  # fmt: skip

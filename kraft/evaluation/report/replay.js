@@ -221,81 +221,6 @@ class Stage {
   }
 }
 
-/** A plot over the time of the drive; `lines` are {name, look, times, values}. */
-class Plot {
-  constructor(drive, title, unit, lines, low = null) {
-    Object.assign(this, { drive, title, unit, lines });
-    const all = lines.flatMap((line) => line.values).filter((value) => value !== null);
-    this.low = low ?? Math.min(0, ...all);
-    this.high = Math.max(this.low + 1e-3, ...all);
-    this.value = make("span", { class: "value" });
-    this.svg = draw("svg", { class: "plot", role: "img", "aria-label": `${title} over time` });
-    this.element = make("figure", { "aria-label": title }, make("figcaption", {}, `${title} `, this.value), this.svg);
-  }
-
-  render(width) {
-    const height = 74, left = 44, right = 6, top = 6, bottom = 6;
-    this.x = (time) => left + ((width - left - right) * time) / this.drive.end;
-    this.timeAt = (x) => Math.min(this.drive.end, Math.max(0, ((x - left) / (width - left - right)) * this.drive.end));
-    const y = (value) => height - bottom - ((height - top - bottom) * (value - this.low)) / (this.high - this.low);
-    this.svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
-    this.svg.setAttribute("height", height);
-    const parts = [];
-    this.drive.cycles.forEach((cycle, k) => {
-      if (cycle.kind !== "contingency") return;
-      const end = this.drive.cycles[k + 1]?.t ?? this.drive.end;
-      parts.push(draw("rect", { class: "stopping", x: this.x(cycle.t), width: Math.max(0, this.x(end) - this.x(cycle.t)), y: 0, height }));
-    });
-    for (const value of [this.low, this.high]) {
-      parts.push(draw("line", { class: "grid", x1: left, x2: width - right, y1: y(value), y2: y(value) }));
-      parts.push(draw("text", { x: left - 6, y: y(value) + (value === this.low ? 0 : 8), "text-anchor": "end" }, value.toFixed(2)));
-    }
-    for (const line of this.lines) {
-      let d = "", joined = false;
-      line.values.forEach((value, i) => {
-        if (value === null) { joined = false; return; }
-        d += `${joined ? "L" : "M"}${this.x(line.times[i]).toFixed(1)} ${y(value).toFixed(1)}`;
-        joined = true;
-      });
-      parts.push(draw("path", { class: `curve ${line.look}`, d }));
-    }
-    this.cursor = draw("line", { class: "cursor", y1: 0, y2: height });
-    this.svg.replaceChildren(...parts, this.cursor);
-  }
-
-  show(time) {
-    const x = this.x(Math.min(time, this.drive.end));
-    this.cursor.setAttribute("x1", x);
-    this.cursor.setAttribute("x2", x);
-    const texts = this.lines.map((line) => {
-      const value = line.values[lastUpTo(line.times, time)];
-      const number = value === null || value === undefined ? "–" : `${value.toFixed(this.unit === "m" ? 3 : 2)} ${this.unit}`.trim();
-      return this.lines.length > 1 ? make("span", { class: `of ${line.look}` }, `${line.name} ${number}`) : number;
-    });
-    this.value.replaceChildren(...texts);
-  }
-}
-
-/** Plots of a drive. */
-function plotsOf(drive) {
-  const found = [];
-  if (drive.clearance) {
-    found.push(new Plot(drive, "clearance", "m", [{ name: "", look: "one", times: drive.clearanceTimes, values: drive.clearance }], 0));
-  }
-  const lines = [{ name: "deviation", look: "one", times: drive.t, values: drive.deviation }];
-  if (drive.delta.some((value) => value !== null)) lines.push({ name: "δ(v)", look: "two", times: drive.t, values: drive.delta });
-  const last = drive.t[drive.deviation.findLastIndex((value) => value !== null)] ?? 0;
-  const partly = drive.cycles.length === 1 && last < drive.end - 0.5; // a single plan is predicted for one cycle
-  found.push(new Plot(drive, `deviation from the prediction${partly ? `, recorded for ${last.toFixed(1)} s` : ""}`, "m", lines, 0));
-  found.push(new Plot(drive, "speed", "m/s", [{ name: "", look: "one", times: drive.t, values: drive.speed }]));
-  for (const { name, range, values, unit } of drive.commands) {
-    const plot = new Plot(drive, `command: ${name.replaceAll("_", " ")}`, unit.startsWith("share") ? "" : unit, [{ name: "", look: "one", times: drive.t, values }]);
-    [plot.low, plot.high] = range;
-    found.push(plot);
-  }
-  return found;
-}
-
 /** Dialog that plays a trial. `onMove(step)` goes to another trial of the list, `onClose()` back to the page. */
 class Player {
   constructor(onMove, onClose) {
@@ -308,11 +233,9 @@ class Player {
     find("close").onclick = () => this.dialog.close();
     find("before").onclick = () => onMove(-1);
     find("after").onclick = () => onMove(1);
-    find("link").onclick = async (event) => {
-      await navigator.clipboard.writeText(location.href);
-      event.target.textContent = "copied";
-      setTimeout(() => { event.target.textContent = "copy link"; }, 1500);
-    };
+    find("link").onclick = (event) => this.copyLink(event.target);
+    this.moves = [find("before"), find("after")];
+    this.closing = find("close");
     find("back").onclick = () => this.step(-1);
     find("forward").onclick = () => this.step(1);
     this.play.onclick = () => this.setPlaying(!this.playing);
@@ -339,9 +262,19 @@ class Player {
     event.preventDefault();
   }
 
-  /** Open the dialog with the words of a trial; the drive follows with `load`. */
-  open({ title, outcome, look, command }) {
+  /** Copy the address of the trial; a browser may refuse that, but shows the address itself. */
+  async copyLink(button) {
+    let said = "copied";
+    try { await navigator.clipboard.writeText(location.href); } catch { said = "refused: copy the browser's address"; }
+    button.textContent = said;
+    clearTimeout(this.saying);
+    this.saying = setTimeout(() => { button.textContent = "copy link"; }, said === "copied" ? 1500 : 5000);
+  }
+
+  /** Open the dialog with the words of a trial; the drive follows with `load`. `first` and `last` are its places in the list. */
+  open({ title, outcome, look, command, first = true, last = true }) {
     this.setPlaying(false);
+    [this.moves[0].disabled, this.moves[1].disabled] = [first, last];
     this.drive = null;
     this.title.textContent = title;
     this.outcome.replaceChildren(make("i", { class: `swatch ${look}` }), ` ${outcome}`);
@@ -358,6 +291,7 @@ class Player {
     this.problem.textContent = text;
     this.problem.hidden = false;
     this.dialog.classList.add("empty");
+    this.closing.focus(); // the controls are hidden, and keys need a focus inside of the dialog
   }
 
   /** Play a drive on a floor plan; `planning` are the planning times of its cycles (ms), `obstacle` is what it hit. */
