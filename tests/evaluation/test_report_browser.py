@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from pathlib import Path
 from urllib.parse import quote
@@ -29,8 +30,8 @@ def test_what_a_screen_reader_stops_at_has_a_name(tab: Page, driven: Driven) -> 
     assert [role for role, name in names if not name] == []
 
 
-@pytest.mark.parametrize("width", [390, 601, 700, 761, 820, 900])
-def test_tables_fit_windows_of_tablets(width: int, tab: Page, driven: Driven) -> None:
+@pytest.mark.parametrize("width", [390, 601, 700, 761, 820, 900, 1241, 1280])
+def test_tables_fit_every_window(width: int, tab: Page, driven: Driven) -> None:
     tab.set_viewport_size({"width": width, "height": 1000})
     tab.goto(driven.url)
     assert (
@@ -219,3 +220,39 @@ def test_addresses_may_be_coded_in_any_way_and_a_filter_without_trials_says_so(
     assert tab.input_value("#filter-outcome") == "success"
     tab.select_option("#filter-method", "kraft")
     assert not tab.locator("#trials-alarm").is_visible()
+
+
+def test_the_axes_of_the_panels_are_side_by_side_whatever_their_words(tab: Page, driven: Driven) -> None:
+    tab.goto(driven.url)
+    tab.locator(".panels small").first.evaluate("e => { e.textContent = 'words of a long title '.repeat(9); }")
+    bottoms = tab.locator(".panels svg").evaluate_all("all => all.map(e => e.getBoundingClientRect().bottom)")
+    assert len(bottoms) == 2
+    assert bottoms[0] == pytest.approx(bottoms[1], abs=1.0)
+
+
+@pytest.mark.parametrize("width", [761, 1100, 1400])
+def test_a_missing_time_does_not_look_like_the_sign_of_the_chance_beside_it(
+    width: int, tab: Page, driven: Driven
+) -> None:
+    tab.set_viewport_size({"width": width, "height": 900})
+    tab.goto(driven.url)
+    row = tab.locator(".tables tr", has=tab.locator("th:text-is('OneShot + OpenLoop')")).first
+    edges = """e => { const r = document.createRange(); r.selectNodeContents(e.firstChild);
+        const box = r.getBoundingClientRect(); return [box.left, box.right]; }"""
+    mean, chance = (row.locator("td").nth(k).evaluate(edges) for k in (3, 4))
+    assert chance[0] - mean[1] > 9
+
+
+def test_a_table_that_continues_on_the_next_page_of_paper_has_its_heading_there(tab: Page, driven: Driven) -> None:
+    tab.goto(driven.url)
+    tab.emulate_media(media="print")
+    assert tab.locator(".tables table:not(:has(thead)), .overview:not(:has(thead))").count() == 0
+    # Chromium repeats the cells of a heading, but leaves out what is drawn for a button
+    displays = tab.locator("thead th > button").evaluate_all("all => all.map(e => getComputedStyle(e).display)")
+    assert set(displays) == {"contents"}
+
+
+def test_a_print_leaves_no_page_half_empty(tab: Page, driven: Driven) -> None:
+    tab.goto(driven.url)
+    paper = tab.pdf(format="A4", prefer_css_page_size=True)
+    assert len(re.findall(rb"/Type\s*/Page\b", paper)) == 2

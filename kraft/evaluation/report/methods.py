@@ -79,9 +79,10 @@ def methods(results: Results) -> Element | None:
     if not totals:
         return None
     words = (
-        "Every method over all its trials: dots with 95 % intervals, Wilson's of shares and Student's of mean times. "
-        "Times are of successful trials, so a method that fails where others take long has a lower one. The bound is "
-        "the time of the shortest path of the disc inscribed in the car, at the top speed of the fastest model."
+        "Every method over all its trials: dots with 95\u00a0% intervals, Wilson's of shares and Student's of mean "
+        "times. Times are of successful trials, so a method that fails where others take long has a lower one. The "
+        "bound is the time of the shortest path of the disc inscribed in the car, at the top speed of the fastest "
+        "model."
     )
     quantiles = [total.measures.deviation_quantiles((0.5, 0.9, 0.99)) for total in totals]
     most = [row[3] for found in quantiles for row in found] + [t.measures.clearance.delta_mean or 0.0 for t in totals]
@@ -103,8 +104,8 @@ def methods(results: Results) -> Element | None:
 
 DEVIATION: Final = (
     "Largest distance of a point of the true car from where the committed prediction has it, by the time since the "
-    "commit: median, and the bands up to 90 % and 99 % of the ticks. The dashed line is the mean of the clearance δ(v) "
-    "that the method asked for; the deviation should stay below it."
+    "commit: median, and the bands up to 90\u00a0% and 99\u00a0% of the ticks. The dashed line is the mean of the "
+    "clearance δ(v) that the method asked for; the deviation should stay below it."
 )
 
 
@@ -331,7 +332,7 @@ def measures_table(shown: Shown, results: Sequence[Result], name: str) -> Elemen
             cells.append(_drawing(result, deviations, cycle, top) if deviations.until else element("td", NO_VALUE))
         rows.append(element("tr", element("th", result.title, scope="row"), *cells))
     label = f"what was promised in {name}"
-    return element("table", element("tr", *heading), *rows, class_="measures", aria_label=label)
+    return element("table", element("thead", element("tr", *heading)), *rows, class_="measures", aria_label=label)
 
 
 def _headings(shown: Shown) -> Iterator[Element]:

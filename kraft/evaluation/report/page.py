@@ -113,8 +113,8 @@ def _sweeps(results: Results) -> Element | None:
         return None
     keys = " and ".join([found[0].axis.key, *found[0].fixed])
     words = (
-        f"Over {keys}. Bars are 95 % intervals: Wilson's of shares, Student's of mean times; a bar that leaves its "
-        "panel has no cap there. The methods are set a little apart, so that equal ones can be seen."
+        f"Over {keys}. Bars are 95\u00a0% intervals: Wilson's of shares, Student's of mean times; a bar that leaves "
+        "its panel has no cap there. The methods are set a little apart, so that equal ones can be seen."
     )
     figures = []
     drawings = {name: sweep_pictures(found, results.methods, paper) for name, paper in PAPERS.items()}
@@ -141,7 +141,7 @@ def _key(shown: Shown, failed: bool) -> Element:
             "Below the bar of a method stands each trial, by seed",
             hint("; point at one to see how it ended, follow it to replay it"),
         ),
-        *(". The bar has ", _stroke("ink"), " the 95 % Wilson interval of the success rate, and above it "),
+        *(". The bar has ", _stroke("ink"), " the 95\u00a0% Wilson interval of the success rate, and above it "),
         *(
             _stroke("paper"),
             " the paper's rate and its interval. p: exact McNemar test against KRAFT on the same seeds. ",
@@ -157,7 +157,7 @@ def _key(shown: Shown, failed: bool) -> Element:
     )
     deviation = (
         " Deviation: the largest distance of a point of the true car from where the committed prediction has it: ",
-        *(_stroke("paper"), " its median, ", _stroke("collision"), " its 99 % quantile, "),
+        *(_stroke("paper"), " its median, ", _stroke("collision"), " its 99\u00a0% quantile, "),
         *(_stroke("dashed"), " the mean clearance δ(v) that the method asked for."),
     )
     return element("p", *outcome_legend(failed), " ", *words, *(deviation if shown.deviations else ()), class_="key")
@@ -196,10 +196,10 @@ def _table(results: Results, name: str, mine: Sequence[Result]) -> Element:
     longest = 1.02 * max([*times, SHORTEST_AXIS])
     heading = [element("th", text) for text in ("method", "how trials ended", "succ / coll / timeout")]
     heading += [element("th", "time, s", time_axis(longest))]
-    columns = ("mean, s", "p", "contingencies", "clearance, m", "planning, ms")
+    columns = ("mean,\u00a0s", "p", "contingencies", "clearance,\u00a0m", "planning,\u00a0ms")
     heading += [element("th", text, class_="number") for text in columns]
     rows = [_row(results, result, longest) for result in mine]
-    return element("table", element("tr", *heading), *rows, aria_label=f"results in {name}")
+    return element("table", element("thead", element("tr", *heading)), *rows, aria_label=f"results in {name}")
 
 
 def _picture(results: Results, name: str) -> Element:
@@ -245,7 +245,7 @@ def _row(results: Results, result: Result, longest: float) -> Element:
         element("td", counts, element("small", f"{low:.0%} to\u00a0{high:.0%}"), _small(beside)),
         element("td", times_chart(result, rows, longest), class_="drawing"),
         element("td", decimals(result.t_ex, 2, NO_VALUE), _small(beside_time), class_="number"),
-        element("td", f"{result.against.p:.2g}" if result.against else NO_VALUE, class_="number"),
+        element("td", f"{result.against.p:.2g}" if result.against else NO_VALUE, class_="number chance"),
         element("td", str(result.contingencies), _small(f"of {counted(result.cycles, 'cycle')}"), class_="number"),
         element("td", decimals(result.min_clearance, 3, NO_VALUE), element("small", "least"), class_="number"),
         element("td", *_planning_times(results, result), class_="number"),
