@@ -289,7 +289,7 @@ class Replays:
             InputError: if it cannot be read, or with the first line that is not a replay.
         """
         self._path = path
-        self._lines: dict[Key, tuple[int, int]] = {}
+        self._lines: dict[Key, tuple[int, int, int]] = {}  # where each begins and its length, bytes, and its number
         self._sizes: dict[Key, tuple[int, int]] = {}
         end, begin = complete_bytes(path), 0
         if not end:
@@ -300,7 +300,7 @@ class Replays:
                     if begin + len(line) > end:
                         break
                     key, replay = self._parsed(line, number)
-                    self._lines[key] = begin, len(line)
+                    self._lines[key] = begin, len(line), number
                     self._sizes[key] = len(replay.drive), len(replay.trees or "")
                     begin += len(line)
         except OSError as error:
@@ -320,15 +320,19 @@ class Replays:
         """Read a replay.
 
         Raises:
-            InputError: if the file cannot be read any more.
+            InputError: if the file cannot be read any more, or its line is another one now.
         """
-        begin, length = self._lines[key]
+        begin, length, number = self._lines[key]
         try:
             with self._path.open("rb") as file:
                 file.seek(begin)
-                return self._parsed(file.read(length), 0)[1]
+                found, replay = self._parsed(file.read(length), number)
         except OSError as error:
             raise _unreadable(self._path, error) from None
+        if found != key:
+            problem = "is the replay of another trial now"
+            raise InputError([_line_problem(self._path, number, problem, Code.SYNTAX)])
+        return replay
 
     def _parsed(self, line: bytes, number: int) -> tuple[Key, Replay]:
         try:

@@ -141,3 +141,17 @@ def test_a_file_without_replays_has_none_and_a_damaged_line_is_refused(tmp_path:
     )
     with refused((f"{file}:2:1", Code.SYNTAX)):
         Replays(file)
+
+
+def test_a_line_that_is_damaged_or_another_one_when_it_is_read_is_refused_by_its_number(tmp_path: Path) -> None:
+    file = tmp_path / REPLAYS
+    lines = [
+        json.dumps({"entry": "turns", "method": "kraft", "seed": k, "drive": "d", "trees": None}) for k in (2, 3, 4)
+    ]
+    file.write_text("".join(f"{line}\n" for line in lines))
+    replays = Replays(file)
+    for second in (lines[2], "x" * len(lines[1])):
+        file.write_text("".join(f"{line}\n" for line in (lines[0], second, lines[2])))
+        with refused((f"{file}:2:1", Code.SYNTAX)):
+            replays.read(KEY)
+    assert replays.read(("turns", "kraft", 2)) == Replay("d", None)
