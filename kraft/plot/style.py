@@ -95,7 +95,7 @@ def text_width(text: str, size: float, *, bold: bool = False) -> float:
 
 
 def shortened(text: str, size: float, width: float, *, bold: bool = False) -> str:
-    """The text on one line, cut where it would be wider than `width` pt."""
+    """The text on one line, cut where it would be wider than `width` pt: between words, if that leaves half of it."""
     line = " ".join(text.split())
     if text_width(line, size, bold=bold) <= width:
         return line
@@ -104,7 +104,8 @@ def shortened(text: str, size: float, width: float, *, bold: bool = False) -> st
         middle = (fits + too_long) // 2
         wide = text_width(line[:middle].rstrip() + "…", size, bold=bold) > width
         fits, too_long = (fits, middle) if wide else (middle, too_long)
-    return line[:fits].rstrip() + "…"
+    between = line.rfind(" ", 0, fits + 1)
+    return line[: between if 2 * between >= fits else fits].rstrip(" ,;:") + "…"
 
 
 def picture_format(path: Path) -> str:

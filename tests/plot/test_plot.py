@@ -277,6 +277,8 @@ def test_a_long_title_is_cut_to_the_width_it_has() -> None:
     cut = shortened("many words " * 30, LABEL, 100.0)
     assert cut.endswith("…")
     assert 80.0 < text_width(cut, LABEL) <= 100.0
+    assert set(cut.removesuffix("…").split()) == {"many", "words"}  # no word is cut
+    assert len(shortened("a " + "long" * 60, LABEL, 100.0)) > 10
     assert shortened(" two\nwords ", LABEL, 100.0) == "two words"
 
 
