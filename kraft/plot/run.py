@@ -167,6 +167,7 @@ def _legend_entries(
         LegendEntry("estimated speed", "line", ESTIMATED, 1.2),
         LegendEntry("true values", "line", INK, 1.6),
         LegendEntry("camera", "dots", OBSERVATION, 2 * OBSERVATION_SIZE),
+        LegendEntry("a cycle begins", "line", RULE, 0.5),
         LegendEntry(f"vehicle every {run_footprint_interval(drive):g} s", "outline", INK),
         *(
             LegendEntry(f"{NAMES[kind]}, unknown to the planner", "outline", HIDDEN[kind][1], face=HIDDEN[kind][0])
