@@ -56,6 +56,9 @@ HISTORY_MIN, WINDOW_MIN = 0.5, 0.5
 """Least length of a history and of a window, s."""
 RECENT = 0.3
 """Time before a window whose poses show its speed and turning rate, s."""
+ASTRAY = 3.0
+"""Deviation of a fitted history from its recent poses, over their noise and the usual error of the model in that time,
+from which the window begins at the poses."""
 HORIZONS = (1.0, 2.0, 3.0)
 """Times after the beginning of a window at which errors are evaluated, s."""
 BIN = 0.1
@@ -163,6 +166,7 @@ class Predictor:
         self._windows = MultiStep(windows, frozen, noise, growth, varying)
         self.graph = MultiStep(before, frozen, noise, growth, varying)
         self._resting: Bools = known == 0.0
+        self._usual: Floats = np.hypot(noise.pose_sigmas, growth * RECENT)
         counts = np.array([len(s.part.pose_times[s.poses]) for s in segments])[:, None]
         self.since: Floats = windows.since - known[:, None]
         """(W, n) time since the beginning of the window, s"""
@@ -183,13 +187,42 @@ class Predictor:
             )
             start = min(start, again, key=self.graph.cost)
         self._last = fit(self.graph, start, HISTORY_ITERATIONS, tolerance=HISTORY_CONVERGED).point
-        states = self._last.states.copy()
+        states = self._at_recent_poses(self._last)
         for w in np.flatnonzero(self._resting):
             states[w] = 0.0
             states[w, : self.graph.problem.dynamics.nx] = _at_rest(
                 self.graph.problem.parameters, rho, self.observed[w, 0]
             )
         return self._windows.predict(states, rho)
+
+    def _at_recent_poses(self, fitted: Point) -> Matrix:
+        """Initial states of the histories, those moved as a whole whose model has gone astray by their end.
+
+        A model that is exact elsewhere follows no history with what it does not explain (tyres that slide, stiction):
+        it would begin the window where the car is not.
+        """
+        history, model = self.graph.windows, self.graph.problem.parameters.vehicle
+        x, y, yaw = (model.index(name) for name in ("x", "y", "theta"))
+        ahead = history.known[:, None] - history.since
+        recent = history.seen & (np.abs(ahead) <= RECENT)
+        off, here = (_extrapolated(-ahead, each, recent) for each in (self.graph.residuals(fitted), history.poses))
+        off *= np.any(np.abs(off) > ASTRAY * self._usual, axis=1, keepdims=True)
+        states, c, s = fitted.states.copy(), np.cos(off[:, 2]), np.sin(off[:, 2])
+        dx, dy = states[:, x] - here[:, 0] - off[:, 0], states[:, y] - here[:, 1] - off[:, 1]
+        states[:, x], states[:, y] = here[:, 0] + c * dx + s * dy, here[:, 1] - s * dx + c * dy
+        states[:, yaw] -= off[:, 2]
+        return states
+
+
+def _extrapolated(times: Floats, values: Floats, chosen: Bools) -> Matrix:
+    """Values (W, 3) at time 0 of the lines through the chosen ones of values (W, n, 3) at times (W, n)."""
+    count = np.maximum(chosen.sum(axis=1), 1)[:, None]
+    middle = (times * chosen).sum(axis=1, keepdims=True) / count
+    mean = (values * chosen[..., None]).sum(axis=1) / count
+    apart = (times - middle) * chosen
+    slope = (apart[..., None] * values).sum(axis=1) / np.maximum((apart**2).sum(axis=1, keepdims=True), 1e-9)
+    found: Matrix = mean - slope * middle
+    return found
 
 
 def _history(piece: Piece) -> Segment:

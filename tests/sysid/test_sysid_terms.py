@@ -30,7 +30,7 @@ from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.log_motion import reverses
 from kraft.sysid.model_choice import identify_car, with_wheelbase
 from kraft.sysid.parameters import parameters_of
-from kraft.sysid.prediction import constant_windows, window_errors
+from kraft.sysid.prediction import constant_windows, predict_windows, window_errors
 from kraft.sysid.selection import is_shown
 from kraft.sysid.smoothing import thinned
 from kraft.sysid.structure import StructureSearch
@@ -300,6 +300,16 @@ def test_a_fast_car_without_lags_is_not_fitted_with_lags() -> None:
     assert found.base.name == "car"
     errors = prediction_errors(found.base.definition, [drive(model, 90)], found.identification.values)
     assert errors.position[3.0] < 0.03
+
+
+def test_a_window_begins_where_the_car_is_although_the_model_does_not_explain_how_it_came_there() -> None:
+    """Something moves the car by 0.3 m, 0.8 s before the third window."""
+    log = drive(car(), 3)
+    (part,) = log.parts
+    poses = part.poses + np.where(part.pose_times[:, None] > 5.2, [0.3, 0.0, 0.0], 0.0)
+    moved = replace(log, parts=(replace(part, poses=poses),))
+    for window in predict_windows(car_file(), [moved], {**TRUTH, "lever": LEVER}):
+        assert np.hypot(*(window.predicted[0] - window.poses[0])[:2]) < 0.01
 
 
 def test_no_logs_are_no_car() -> None:
