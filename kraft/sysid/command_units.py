@@ -41,7 +41,9 @@ REST_SPEED: Final = 0.05
 """Share of the high speeds below which the car is at rest."""
 REST_SAMPLES_MIN: Final = 10
 REST_SHARE_MIN: Final = 0.3
-"""Least number of samples at rest, and least share of them that have the neutral throttle."""
+"""Least number of samples at rest, and least share of them that have the neutral throttle, ..."""
+REST_FACTOR: Final = 3.0
+"""... or least ratio of their number to that of the next one: dead zone and friction hold a car at many commands."""
 DELAY: Final = 0.15
 """Delay of the response to a command, s, as far as neutral value and sign need it."""
 
@@ -139,7 +141,10 @@ def _at_rest(values: Floats, speed: Floats, largest: float) -> float | None:
     """The usual command of a vehicle at rest, None if it is hardly ever at rest; 0 if it may be, up to `largest`."""
     resting = np.abs(speed) < REST_SPEED * np.quantile(np.abs(speed), 0.95)
     kinds, counts = np.unique(values[resting], return_counts=True)
-    if resting.sum() < REST_SAMPLES_MIN or counts.max() < REST_SHARE_MIN * counts.sum():
+    if resting.sum() < REST_SAMPLES_MIN:
+        return None
+    most = np.sort(counts)[::-1]
+    if most[0] < REST_SHARE_MIN * counts.sum() and most[0] < REST_FACTOR * most[1]:  # a share below 1 has a next one
         return None
     if 0.0 in kinds and values.min() >= -largest and values.max() <= largest:
         return 0.0

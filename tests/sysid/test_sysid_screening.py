@@ -20,6 +20,7 @@ from kraft.sysid.screening import check_consistency, check_direction, two_cars
 from kraft.sysid.smoothing import thinned
 from kraft.sysid.unexplained import unexplained_stretches, without
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
+from kraft.vehicles.load import load_vehicle
 
 TRUTH = {"L": 0.3, "v_delta": 0.9, "tau": 0.5}
 Change = Callable[[np.ndarray], np.ndarray]
@@ -90,6 +91,17 @@ def test_pulse_widths_are_told_as_a_mapping_file_states_them() -> None:
     assert (units["throttle"].neutral, units["steering"].neutral) == (1500.0, 1500.0)
     assert "commands.controls.steering: {column: ..., zero: 1500, scale: -0.00" in unit_notes(units)[1]
     assert "ratio of the scale of the steering to the wheelbase L" in unit_notes(units)[2]
+
+
+def test_a_neutral_throttle_is_found_although_friction_holds_the_car_at_others() -> None:
+    """Ramps in which the car rests up to a third of full throttle; nine tenths of this time have another command."""
+    held = load_vehicle("car", parameters={"friction": 1.2, "a_drive": 4.0, "dead_zone": 0.0, "damping": 1.0})
+    ramp = np.concatenate([np.zeros(20), np.round(np.abs(np.linspace(-0.5, 0.5, 280)), 3)])
+    times = 0.05 * np.arange(len(ramp))
+    given = [(times, np.column_stack([ramp, np.sin(times + k)])) for k in range(4)]
+    driven = synthetic_logs(held, {}, range(4), seconds=15.0, noise=(0.001, 0.003), commands=given)
+    units = command_units(commanded(driven, lambda u: np.round(1500 + 400 * u), lambda s: np.round(1500 + 400 * s)))
+    assert units["throttle"].neutral == 1500.0
 
 
 def test_physical_commands_stay_as_they_are() -> None:
