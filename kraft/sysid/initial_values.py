@@ -200,13 +200,16 @@ SLOW = 0.05
 """Speed below which friction does not act in full in the regression, m/s."""
 REGRESSION_SPAN = 0.5
 """Time over which changes of the speed are explained, s."""
+LARGEST = 0.98
+"""Quantile of the accelerations that counts as the largest one."""
 
 
 def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, mean: Matrix) -> dict[str, float]:
-    """Drive and losses of `kraft.vehicles.car` by regression; empty for other models.
+    """Drive and losses of `kraft.vehicles.car` by regression, and its largest acceleration; empty for other models.
 
     The change of the speed over a span is linear in the parameters if the dead zone is known: it is the sum of their
-    effects, integrated over the measured speed, yaw rate and throttle.
+    effects, integrated over the measured speed, yaw rate and throttle.  A limit of the acceleration that the logs do not
+    reach has no effect, so that a fit that begins there would not find it.
     """
     if not {"a_drive", "damping", "back_emf", "friction", "drag", "scrub", "dead_zone"} <= set(parameters.names):
         return {}
@@ -236,4 +239,5 @@ def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, me
             if left < best[0]:
                 values = found / scale * np.where(np.arange(len(scale)) == 0, sign, 1.0)
                 best = (left, {**dict(zip(terms, map(float, values), strict=True)), "dead_zone": dead_zone})
-    return best[1]
+    largest = float(np.quantile(np.abs(change), LARGEST)) / (span * float(chains.h[0]))
+    return {**best[1], "effort": 1.0 / max(largest, 1e-9)}

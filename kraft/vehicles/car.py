@@ -71,6 +71,15 @@ def limited(demand: float) -> float:
 
 
 @derivative
+def clipped(demand: float) -> float:
+    """The same with a sharp limit, as controllers have it: within 4 % of the clipped demand, and smooth."""
+    square = demand * demand
+    fourth = square * square
+    eighth = fourth * fourth
+    return 1.0 / sqrt(sqrt(sqrt(sqrt(1.0 + eighth * eighth))))
+
+
+@derivative
 def acceleration(v: float, effective: float, lateral: float, turned: float, sliding: float, p: Values) -> float:
     """Acceleration along the car (m/s^2), `lateral` its lateral acceleration, `turned` the tangent of the angle."""
     size = effective if effective > 0.0 else -effective
@@ -78,7 +87,7 @@ def acceleration(v: float, effective: float, lateral: float, turned: float, slid
     opposed = contrary / sqrt(contrary * contrary + 1e-6) if contrary > 0.0 else 0.0
     wanted = p[8] * effective * (1.0 + p[10] * size) * (1.0 + (p[11] - 1.0) * opposed)
     damping = p[13] + p[12] * size
-    share = limited(p[24] * (wanted - damping * v))
+    share = clipped(p[24] * (wanted - damping * v))
     pushed = share * wanted
     drag = lateral * turned
     brake = p[14] + p[16] * (drag if drag > 0.0 else -drag) + p[20] * (sliding if sliding > 0.0 else -sliding)
