@@ -208,8 +208,8 @@ def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, me
     """Drive and losses of `kraft.vehicles.car` by regression, and its largest acceleration; empty for other models.
 
     The change of the speed over a span is linear in the parameters if the dead zone is known: it is the sum of their
-    effects, integrated over the measured speed, yaw rate and throttle.  A limit of the acceleration that the logs do not
-    reach has no effect, so that a fit that begins there would not find it.
+    effects, integrated over the measured speed, yaw rate and throttle.  A limit of the acceleration that
+    the logs do not reach has no effect, so that a fit that begins there would not find it.
     """
     if not {"a_drive", "damping", "back_emf", "friction", "drag", "scrub", "dead_zone"} <= set(parameters.names):
         return {}
