@@ -7,6 +7,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from difflib import get_close_matches
 from typing import Final
 
 import typer
@@ -23,6 +24,9 @@ FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 NOUNS: Final = {"int_": "a whole number", "float_": "a number"}
 """What an option expects, by the beginning of the type of pydantic's error."""
+
+MISSPELT: Final = 0.75
+"""Least similarity of a misspelt option: --vision is --version, and --json, an option of the commands, is not."""
 
 POSITIONAL: Final = ("files", "logs", "results", "scenario", "scenarios", "sources")
 """Arguments that the commands take without an option."""
@@ -133,9 +137,15 @@ def _explain_usage(terminal: Terminal, error: typer.TyperException) -> ExitStatu
 def _usage_message(error: typer.TyperException) -> str:
     """Message of an error of usage; where an option precedes the name of its command, it says so."""
     option, context = getattr(error, "option_name", None), getattr(error, "ctx", None)
-    if option is None or context is None or context.parent is not None:
+    if option is None or context is None or context.parent is not None or _is_misspelt(option, context):
         return error.format_message()
     return f"No such option before the command: {option}; expected it after, as in 'kraft COMMAND {option}'"
+
+
+def _is_misspelt(option: str, context: typer.Context) -> bool:
+    """Whether an option is nearly one that kraft has before the name of a command."""
+    known = [name for parameter in context.command.params for name in parameter.opts]
+    return bool(get_close_matches(option, known, cutoff=MISSPELT))
 
 
 def _unread_value(error: typer.TyperException) -> Diagnostic | None:

@@ -236,7 +236,7 @@ def test_a_file_of_commands_gives_back_the_drive(planned: list[PlannedDrive], tm
 @pytest.mark.parametrize(
     ("text", "line", "code"),
     [
-        ("t,throttle\n0,0\n1,0\n", None, Code.MISSING),
+        ("t,throttle\n0,0\n1,0\n", 1, Code.MISSING),
         ("t,throttle,steering\n0,0,0\n1,2,0\n", 3, Code.DATA),
         ("t,throttle,steering\n0,0,0\n1,0,0\n1,0,0\n", 4, Code.DATA),
         ("t,throttle,steering\n0,0,0\n1,0,x\n", 3, Code.DATA),
