@@ -81,8 +81,9 @@ def identify_terms(
         alike = other.alike(found.best)
         own = StructureSearch(simpler, usable, settings, on_iteration)
         own.iterations = other.iterations
-        richer, found = found, simplified(found, alike, own)
-        vehicle = vehicle if found.best is richer.best else simpler
+        taken = simplified(found, alike, own)
+        vehicle = vehicle if taken.best is found.best else simpler
+        found = taken
         found.final.iterations = max(found.final.iterations, own.iterations)
     identification = _identified(found.best, found.final, usable, settings)
     rows = tuple(_trial(s, chosen=s is found.best, horizon=settings.horizon) for s in found.trials)

@@ -2,8 +2,9 @@
 
 Three robust regressions over all logs predict the change of the speed from throttle and speed, the yaw rate from
 steering and speed, and the sideways speed from yaw rate and speed, with commands of the last 0.4 s, so that lags and
-delays count as explained.  A stretch is unexplained where what they leave, averaged over some tenths of a second, is
-many times its usual size and large for a car.
+delays count as explained; so do a slow servo, a speed controller, and tyres at the limit of their grip.  A stretch
+is unexplained where what they leave, averaged over some tenths of a second, is many times its usual size and large for
+a car.
 """
 
 from __future__ import annotations

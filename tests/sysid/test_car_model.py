@@ -1,4 +1,4 @@
-"""The model of cars with terms at standstill: friction, driving away, reversing and brakes."""
+"""The model of cars with terms: friction, driving away, reversing and brakes at standstill; speed controllers."""
 
 from __future__ import annotations
 
