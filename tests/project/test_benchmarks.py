@@ -149,8 +149,10 @@ def test_an_endless_search_has_no_solution() -> None:
 
 
 def test_callbacks_count_edges_and_steps_of_every_planner() -> None:
-    rates = callbacks.one_round(endless(scene("turns")), SMOKE.seconds, seed=0)
-    assert rates["compiled"].edges > rates["callbacks"].edges > 0
+    seconds = 0.5  # enough for an edge of every planner on a busy machine
+    rates = callbacks.one_round(endless(scene("turns")), seconds, seed=0)
+    assert rates["compiled"].edges > 0
+    assert rates["callbacks"].edges > 0
     assert all(rates[name].steps > 0 for name in ("callbacks", "rrt", "est", "kpiece1"))
 
 
