@@ -76,6 +76,7 @@ def _speed_after(truth: Mapping[str, float], v: Floats, r: Floats, delta: Floats
     driven = push - (truth["damping"] + truth["back_emf"] * np.abs(u)) * v
     if truth["effort"] > 0.0:
         driven = np.clip(driven, -1.0 / truth["effort"], 1.0 / truth["effort"])
-    rolling = v + SUBSTEP * (driven - truth["drag"] * v * np.abs(v))
+    coasting = np.where(u == 0.0, truth["coast"] * v, 0.0)
+    rolling = v + SUBSTEP * (driven - coasting - truth["drag"] * v * np.abs(v))
     after: Floats = np.sign(rolling) * np.maximum(np.abs(rolling) - SUBSTEP * friction, 0.0)
     return after

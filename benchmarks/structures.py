@@ -48,6 +48,7 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "lever": (0.05, 0.2),
     "yaw_offset": (0.03, 0.1),
     "effort": (0.3, 0.6),
+    "coast": (0.5, 2.0),
 }
 """Sizes of the terms that are on."""
 SIGNED: Final = ("asymmetry", "lever", "yaw_offset")

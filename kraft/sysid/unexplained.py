@@ -29,6 +29,8 @@ SWEEPS: Final = (0.2, 0.4, 0.6, 0.8, 1.2, 1.6, 2.4, 3.2)
 """Times in which a slow servo or a speed controller may follow the largest command, s."""
 SLOW: Final = 0.5
 """Share of what is left with a command that acts at once, up to which one of these times explains it."""
+NEUTRAL: Final = 0.05
+"""Share of the largest throttle up to which a car may coast otherwise than it is driven."""
 LOOK_AHEAD: Final = 0.5
 """Time over which the change of the speed is explained, s."""
 SMOOTHED: Final = 5
@@ -131,10 +133,12 @@ def _larger(change: Floats, ahead: int) -> Floats:
 def _speed_terms(m: Motion, throttle: Floats, ahead: int) -> Matrix:
     """Terms (n - ahead, k) of the change of the speed over the next samples; `throttle` (n,) acts in them."""
     v, terms = m.speed[:-ahead], []
+    least = NEUTRAL * float(np.abs(throttle).max())
     for age in TAPS[::2]:
         u = _before(throttle, age)
         for signal in (u, u * np.abs(u), np.maximum(u, 0.0)):
             terms.append(sums_of(signal, ahead) / ahead)
+        terms.append(v * sums_of((np.abs(u) <= least).astype(float), ahead) / ahead)
     return np.column_stack([*terms, v, v * np.abs(v), np.tanh(10.0 * v), v * m.rate[:-ahead] ** 2, np.ones(len(v))])
 
 

@@ -12,6 +12,7 @@ which are 1):
               against the motion
     losses    (damping + back_emf |u|) v + drag v |v|, friction against the motion, scrub of turned wheels
     effort    inverse of the largest acceleration by drive, damping and back_emf together: that of a speed controller
+    coast     damping at neutral throttle less that under drive: of a speed controller that brakes there, or lets go
     steering  phi_diff + steer (1 +- asymmetry) n / sqrt(1 + (saturation n)^2), n the steering
     tyres     curvature tan(delta) / (L (1 + understeer v^2)); lateral acceleration at most 1 / slide; slip of the body
     pose      lever and yaw_offset of what is tracked
@@ -41,6 +42,8 @@ LEAST_WIDTH = 0.01
 """Least speed over which the sense of friction changes, m/s, so that derivatives exist without friction too."""
 SOFT_THROTTLE = 0.02
 """Share of full throttle over which the dead zone ends, so that derivatives exist."""
+COASTING = 0.02
+"""Share of full throttle beyond the dead zone at which half of `coast` is left."""
 SOFT_SIDE = 0.05
 """Share of full steering over which one side's gain changes to the other's."""
 BRAKING = 1.0
@@ -103,7 +106,10 @@ def acceleration(v: float, effective: float, lateral: float, turned: float, slid
     used = brake if along > brake else (-brake if along < -brake else along)
     against = brake * sense + (1.0 - (sense if sense > 0.0 else -sense)) * used
     driven = moving * (pushed - against) + (1.0 - moving) * (beyond - held)
-    return driven - share * damping * v - p[15] * v * (v if v > 0.0 else -v)
+    beside = size * size / (COASTING * COASTING)
+    losing = share * damping + p[25] / (1.0 + beside * beside)
+    coasting = losing * v if losing > 0.0 else 0.0
+    return driven - coasting - p[15] * v * (v if v > 0.0 else -v)
 
 
 @derivative
@@ -138,12 +144,12 @@ def lagging(x: Values, u: Values, p: Values) -> Values:
     """Derivative of the car whose wheels and yaw rate follow with a lag."""
     _, _, theta, v, delta, r = x
     turned = tan(delta)
-    rate = (u[1] - delta) / p[25]
-    turning = rate / sqrt(1.0 + rate * rate * p[27] * p[27])
+    rate = (u[1] - delta) / p[26]
+    turning = rate / sqrt(1.0 + rate * rate * p[28] * p[28])
     bend = curvature(v, turned, p)
     sliding = v * r * (turned - p[3] * bend)
     vx, vy = velocity(theta, v, r, p)
-    return vx, vy, r, acceleration(v, u[0], v * r, turned, sliding, p), turning, (v * bend - r) / p[26]
+    return vx, vy, r, acceleration(v, u[0], v * r, turned, sliding, p), turning, (v * bend - r) / p[27]
 
 
 @derivative
@@ -189,6 +195,7 @@ CAR = Vehicle(
         "yaw_offset": 0.0,
         "reverse": 1.0,
         "effort": 0.0,
+        "coast": 0.0,
     },
     footprint=Footprint(0.45, 0.28, 0.13),
     top_speed=5.0,
