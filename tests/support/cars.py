@@ -22,11 +22,22 @@ def car(**values: float) -> Vehicle:
 
 
 def drive(
-    model: Vehicle, seed: int, seconds: float = 15.0, low: tuple[float, float] = (0.15, -1.0), high: float = 1.0
+    model: Vehicle,
+    seed: int,
+    seconds: float = 15.0,
+    low: tuple[float, float] = (0.15, -1.0),
+    high: float = 1.0,
+    neutral: int = 0,
 ) -> Log:
-    """Random levels of both commands, observed with 1 mm and 3 mrad at a tracked point ahead of the model's."""
+    """Random levels of both commands, observed with 1 mm and 3 mrad at a tracked point ahead of the model's.
+
+    If `neutral` is not 0, the throttle of each level with such a number is neutral.
+    """
     rng, steps = np.random.default_rng(seed), round(seconds / STEP)
-    levels = np.repeat(rng.uniform(low, high, (steps // 40 + 1, 2)), 40, axis=0)[:steps]
+    levels = rng.uniform(low, high, (steps // 40 + 1, 2))
+    if neutral:
+        levels[neutral - 1 :: neutral, 0] = 0.0
+    levels = np.repeat(levels, 40, axis=0)[:steps]
     start = np.zeros((1, len(model.state)))
     controls = np.ascontiguousarray(levels[:, None, :])
     states = DiscreteModel(model).simulate(start, controls, model.parameter_array[None], np.array([STEP]))[:, 0]

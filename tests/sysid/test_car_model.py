@@ -1,4 +1,4 @@
-"""The model of cars with terms: friction, driving away, reversing and brakes at standstill; speed controllers."""
+"""The model of cars with terms: friction, driving away, reversing and brakes at standstill; speed controllers; coasting."""
 
 from __future__ import annotations
 
@@ -86,3 +86,20 @@ def test_a_speed_controller_accelerates_and_brakes_at_its_limit(step: float) -> 
     assert speed[2.0] == pytest.approx(3.0, rel=0.02)
     assert speed[3.0] == pytest.approx(3.0 - limit, abs=0.06)
     assert speed[4.0] == pytest.approx(0.0, abs=0.06)
+
+
+@pytest.mark.parametrize("coast", [-2.0, -0.5, 0.0, 1.5])
+def test_only_a_car_at_neutral_throttle_has_the_damping_of_coasting(coast: float) -> None:
+    """A coasting car loses its speed exponentially, and never gains any; a driven one does not differ."""
+    damping, time, step = 1.2, 0.5, 0.01
+    model = car(friction=0.0, damping=damping, coast=coast, dead_zone=0.1, lever=0.0)
+    start = np.array([[0.0, 0.0, 0.0, 2.0]])
+    ends = {}
+    for throttle in (0.0, 0.08, -0.08, 0.3):
+        controls = np.tile([throttle, 0.0], (round(time / step), 1, 1))
+        states = DiscreteModel(model).simulate(start, controls, model.parameter_array[None], np.array([step]))
+        ends[throttle] = states[-1, 0, 3]
+    for inside in (0.0, 0.08, -0.08):
+        assert ends[inside] == pytest.approx(2.0 * np.exp(-max(damping + coast, 0.0) * time), rel=0.02)
+    driven = model.parameters["a_drive"] * 0.2 / damping
+    assert ends[0.3] == pytest.approx(driven + (2.0 - driven) * np.exp(-damping * time), rel=0.02)

@@ -27,7 +27,6 @@ from kraft.sysid.base_vehicle import (
 from kraft.sysid.chains import whole_segment
 from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.dynamics import DiscreteModel
-from kraft.sysid.log_motion import reverses
 from kraft.sysid.model_choice import identify_car, with_wheelbase
 from kraft.sysid.parameters import parameters_of
 from kraft.sysid.prediction import constant_windows, predict_windows, window_errors
@@ -111,43 +110,6 @@ def test_the_terms_of_a_car_are_chosen_and_predict_other_drives() -> None:
     assert errors.position[3.0] < 0.2 * constant.position[3.0]
     assert sum(trial.chosen for trial in found.trials) == 1
     assert len(found.without_log) == len(fitted)
-
-
-def test_a_drive_that_is_weaker_backwards_is_found() -> None:
-    logs = [drive(car(reverse=0.5), seed, 20.0, low=(-1.0, -1.0)) for seed in range(6)]
-    found = identify_terms(car_file(), logs).identification
-    assert found.values["reverse"] == pytest.approx(0.5, rel=0.05)
-    assert found.values["brake"] == 1.0
-    assert found.values["a_drive"] == pytest.approx(TRUTH["a_drive"], rel=0.05)
-
-
-def test_throttle_backwards_that_only_brakes_does_not_show_the_drive_backwards() -> None:
-    logs = [drive(car(), seed, low=(-0.1, -1.0)) for seed in range(2)]  # friction holds the car against -0.1
-    assert not reverses(logs)
-    assert reverses([drive(car(), seed, low=(-1.0, -1.0)) for seed in range(2)])
-    search = StructureSearch(car_file(), logs, Settings(auxiliary="none"), lambda *_: None)
-    assert "brake" in search.candidates
-    assert "reverse" not in search.candidates
-
-
-CONTROLLER = {"a_drive": 18.0, "damping": 6.0, "friction": 0.0, "effort": 0.5}
-"""A speed controller: 3 m/s at full command, at most 2 m/s^2."""
-
-
-def test_the_largest_acceleration_of_a_speed_controller_is_found() -> None:
-    logs = [drive(car(**CONTROLLER), seed, low=(-0.3, -1.0)) for seed in range(6)]
-    found = identify_terms(car_file(), logs[:5]).identification
-    assert found.values["effort"] == pytest.approx(CONTROLLER["effort"], rel=0.03)
-    assert found.values["a_drive"] / found.values["damping"] == pytest.approx(3.0, rel=0.02)
-    assert prediction_errors(car_file(), logs[5:], found.values).position[3.0] < 0.05
-
-
-def test_the_time_that_a_speed_controller_takes_is_no_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:
-    model = car(**CONTROLLER | {"effort": 0.2})
-    logs = [drive(model, seed, 20.0, low=(-0.5, -1.0)) for seed in range(8)]
-    assert unexplained_stretches(logs) == ()
-    monkeypatch.setattr(unexplained, "SWEEPS", ())
-    assert len(unexplained_stretches(logs)) == 2
 
 
 def search_for_slide(slide: float) -> StructureSearch:

@@ -1,0 +1,76 @@
+"""Terms of the drive of a car: weaker backwards, a speed controller's largest acceleration, coasting at neutral."""
+
+from __future__ import annotations
+
+import pytest
+from support.cars import TRUTH, car, drive
+
+from kraft.sysid import Settings, prediction_errors, unexplained
+from kraft.sysid.log_motion import reverses
+from kraft.sysid.structure import StructureSearch
+from kraft.sysid.terms import identify_terms
+from kraft.sysid.unexplained import unexplained_stretches
+from kraft.vehicles.config import VehicleConfig, load_vehicle_config
+
+
+def car_file() -> VehicleConfig:
+    return load_vehicle_config("car")
+
+
+def test_a_drive_that_is_weaker_backwards_is_found() -> None:
+    logs = [drive(car(reverse=0.5), seed, 20.0, low=(-1.0, -1.0)) for seed in range(6)]
+    found = identify_terms(car_file(), logs).identification
+    assert found.values["reverse"] == pytest.approx(0.5, rel=0.05)
+    assert found.values["brake"] == 1.0
+    assert found.values["a_drive"] == pytest.approx(TRUTH["a_drive"], rel=0.05)
+
+
+def test_throttle_backwards_that_only_brakes_does_not_show_the_drive_backwards() -> None:
+    logs = [drive(car(), seed, low=(-0.1, -1.0)) for seed in range(2)]  # friction holds the car against -0.1
+    assert not reverses(logs)
+    assert reverses([drive(car(), seed, low=(-1.0, -1.0)) for seed in range(2)])
+    search = StructureSearch(car_file(), logs, Settings(auxiliary="none"), lambda *_: None)
+    assert "brake" in search.candidates
+    assert "reverse" not in search.candidates
+
+
+CONTROLLER = {"a_drive": 18.0, "damping": 6.0, "friction": 0.0, "effort": 0.5}
+"""A speed controller: 3 m/s at full command, at most 2 m/s^2."""
+
+
+def test_the_largest_acceleration_of_a_speed_controller_is_found() -> None:
+    logs = [drive(car(**CONTROLLER), seed, low=(-0.3, -1.0)) for seed in range(6)]
+    found = identify_terms(car_file(), logs[:5]).identification
+    assert found.values["effort"] == pytest.approx(CONTROLLER["effort"], rel=0.03)
+    assert found.values["a_drive"] / found.values["damping"] == pytest.approx(3.0, rel=0.02)
+    assert prediction_errors(car_file(), logs[5:], found.values).position[3.0] < 0.05
+
+
+def test_the_time_that_a_speed_controller_takes_is_no_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = car(**CONTROLLER | {"effort": 0.2})
+    logs = [drive(model, seed, 20.0, low=(-0.5, -1.0)) for seed in range(8)]
+    assert unexplained_stretches(logs) == ()
+    monkeypatch.setattr(unexplained, "SWEEPS", ())
+    assert len(unexplained_stretches(logs)) == 2
+
+
+@pytest.mark.parametrize("coast", [1.5, -1.0])
+def test_damping_at_neutral_throttle_is_found_apart(coast: float) -> None:
+    model = car(coast=coast)
+    logs = [drive(model, seed, neutral=3) for seed in range(6)]
+    found = identify_terms(car_file(), logs[:5]).identification
+    assert found.values["coast"] == pytest.approx(coast, abs=0.1)
+    assert found.values["damping"] == pytest.approx(TRUTH["damping"], rel=0.03)
+    assert prediction_errors(car_file(), logs[5:], found.values).position[3.0] < 0.03
+
+
+def test_a_car_that_coasts_as_it_is_driven_needs_no_such_term() -> None:
+    found = identify_terms(car_file(), [drive(car(), seed, neutral=3) for seed in range(5)]).identification
+    assert "coast" in found.off
+
+
+def test_brakes_at_neutral_throttle_are_no_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:
+    logs = [drive(car(coast=10.0), seed, 20.0, neutral=9) for seed in range(8)]
+    assert unexplained_stretches(logs) == ()
+    monkeypatch.setattr(unexplained, "NEUTRAL", -1.0)
+    assert len(unexplained_stretches(logs)) > 0
