@@ -56,9 +56,12 @@ HISTORY_MIN, WINDOW_MIN = 0.5, 0.5
 """Least length of a history and of a window, s."""
 RECENT = 0.3
 """Time before a window whose poses show its speed and turning rate, s."""
-ASTRAY = 3.0
+ASTRAY = 10.0
 """Deviation of a fitted history from its recent poses, over their noise and the usual error of the model in that time,
-from which the window begins at the poses."""
+from which the window begins at the poses.
+
+A model that is exact elsewhere is off by far more.  One that is always off by some centimetres is off by less, and its
+history makes up for errors of its speed by the place where the window begins."""
 HORIZONS = (1.0, 2.0, 3.0)
 """Times after the beginning of a window at which errors are evaluated, s."""
 BIN = 0.1

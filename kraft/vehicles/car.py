@@ -42,7 +42,7 @@ LEAST_WIDTH = 0.01
 """Least speed over which the sense of friction changes, m/s, so that derivatives exist without friction too."""
 SOFT_THROTTLE = 0.02
 """Share of full throttle over which the dead zone ends, so that derivatives exist."""
-COASTING = 0.02
+COASTING = 0.01
 """Share of full throttle beyond the dead zone at which half of `coast` is left."""
 SOFT_SIDE = 0.05
 """Share of full steering over which one side's gain changes to the other's."""
