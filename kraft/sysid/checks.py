@@ -12,7 +12,7 @@ import numpy as np
 from kraft.sysid.initial_values import SmoothedPoses
 from kraft.sysid.interface import AT_BOUND, CORRELATION_HIGH, correlations
 from kraft.sysid.optimiser import Optimum, Uncertainty
-from kraft.sysid.parameters import Parameters
+from kraft.sysid.parameters import Parameters, ParameterSpec
 from kraft.sysid.problem import Problem, residual_ratio
 from kraft.text import counted
 from ompl_ext.arrays import Floats
@@ -173,26 +173,43 @@ def _convergence(solution: SolvedProblem) -> Iterator[str]:
 
 
 def _bounds(solution: SolvedProblem) -> Iterator[str]:
-    p, step = solution.problem.parameters, float(solution.problem.chains.h.max())
+    for spec, which, bound in _at_bounds(solution):
+        if not (_is_off(spec, bound) or _is_a_step(solution, spec, bound)):
+            yield (
+                f"{spec.name} is at its {which} bound {bound:g}{spec.unit_text}: widen the bound if it is wrong; "
+                "otherwise the model lacks an effect that the parameter compensates for"
+            )
+
+
+def notes_of(solution: SolvedProblem) -> Iterator[str]:
+    """What parameters at a bound tell, if nothing is to be done about it."""
+    for spec, which, bound in _at_bounds(solution):
+        at = f"{spec.name} is {bound:g}{spec.unit_text if bound else ''}, its {which} bound"
+        if _is_off(spec, bound):
+            yield f"{at}: the data show no such effect, and a model without it suffices"
+        elif _is_a_step(solution, spec, bound):
+            yield (
+                f"{at} and the shortest lag that the model has: that of the vehicle is the same or shorter, and the "
+                "delay and other terms may make up for the difference"
+            )
+
+
+def _at_bounds(solution: SolvedProblem) -> Iterator[tuple[ParameterSpec, str, float]]:
+    """Parameters at a bound, which one, and its value."""
+    p = solution.problem.parameters
     for name, which in at_bound(solution).items():
         spec = p.specs[p.index(name)]
-        bound = spec.min if which == "lower" else spec.max
-        if bound in (0.0, spec.neutral):
-            yield (
-                f"{name} is {bound:g}{spec.unit_text if bound else ''}, its {which} bound: the data show no such "
-                "effect, and a model without it suffices"
-            )
-            continue
-        if spec.unit == "s" and 0.0 < bound <= step + 1e-9:
-            yield (
-                f"{name} is {bound:g}{spec.unit_text}, its {which} bound and the shortest lag that the model has: that "
-                "of the vehicle is the same or shorter, and the delay and other terms may make up for the difference"
-            )
-            continue
-        yield (
-            f"{name} is at its {which} bound {bound:g}{spec.unit_text}: widen the bound if it is wrong; otherwise the "
-            "model lacks an effect that the parameter compensates for"
-        )
+        yield spec, which, spec.min if which == "lower" else spec.max
+
+
+def _is_off(spec: ParameterSpec, bound: float) -> bool:
+    """Whether a bound is where the parameter has no effect."""
+    return bound in (0.0, spec.neutral)
+
+
+def _is_a_step(solution: SolvedProblem, spec: ParameterSpec, bound: float) -> bool:
+    """Whether a bound is the shortest lag that the steps of the model allow."""
+    return spec.unit == "s" and 0.0 < bound <= float(solution.problem.chains.h.max()) + 1e-9
 
 
 def _throttle(solution: SolvedProblem) -> Iterator[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kraft.sysid.checks import SolvedProblem, at_bound, unidentified
+from kraft.sysid.checks import SolvedProblem, at_bound, notes_of, unidentified
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.interface import Identification, LogFit, ParameterEstimate, PartFit
 from kraft.sysid.parameters import Parameters
@@ -70,7 +70,7 @@ def assemble_identification(
         noise_measured=solution.noise_measured,
         process={name: float(value) for name, value in zip(vehicle.state, noise.process, strict=True)},
         warnings=warnings,
-        notes=notes,
+        notes=(*notes, *notes_of(solution)),
         logs=_log_fits(solution),
         rear_axle=tracked_ahead_of_axle(p, solution.problem.dynamics.discrete_model, rho),
         without_log=_without_log(solution),
