@@ -56,7 +56,7 @@ HISTORY_MIN, WINDOW_MIN = 0.5, 0.5
 """Least length of a history and of a window, s."""
 RECENT = 0.3
 """Time before a window whose poses show its speed and turning rate, s."""
-ASTRAY = 10.0
+ASTRAY = 30.0
 """Deviation of a fitted history from its recent poses, over their noise and the usual error of the model in that time,
 from which the window begins at the poses.
 
