@@ -27,6 +27,7 @@ from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
 from ompl_ext.memory import in_words
 from ompl_ext.vehicle import Vehicle
 
+PARAMETERS_MAX = 12  # of a vehicle, up to which those that are 0 are printed too; -v prints them all
 MUCH_MEMORY = 1_000_000_000  # bytes of maps from which on the need of memory is reported without -v too
 
 
@@ -266,7 +267,7 @@ def plan_json(outcome: PlanOutcome) -> dict[str, Any]:
 def table_rows(outcome: PlanOutcome) -> list[tuple[str, str]]:
     """Label and value of each line of the printed table."""
     result, plan, progress = outcome.result, outcome.result.plan, outcome.result.progress
-    rows = [("scenario", outcome.task.name), ("vehicle", _vehicle_text(outcome))]
+    rows = [("scenario", outcome.task.name), ("vehicle", vehicle_text(outcome.vehicle))]
     rows.append(("result", _outcome(result)))
     if plan is not None:
         rows.append(("plan", f"{plan.cost:.2f} s in {counted(len(plan.durations), 'edge')}"))
@@ -306,9 +307,14 @@ def notes(result: PlanResult) -> dict[str, str]:
     return {**found, "iterations": f"{result.progress.iterations:,}", "nodes": f"{result.progress.nodes:,}"}
 
 
-def _vehicle_text(outcome: PlanOutcome) -> str:
-    values = ", ".join(f"{name} {value:g}" for name, value in outcome.vehicle.parameters.items())
-    return f"{outcome.vehicle.name} ({values})" if values else outcome.vehicle.name
+def vehicle_text(vehicle: Vehicle) -> str:
+    """Name and parameters; of many, without those that are 0."""
+    parameters = vehicle.parameters
+    shown = {name: value for name, value in parameters.items() if value != 0.0 or len(parameters) <= PARAMETERS_MAX}
+    values = ", ".join(f"{name} {value:g}" for name, value in shown.items())
+    if len(shown) < len(parameters):
+        values += f"; {len(parameters) - len(shown)} others are 0"
+    return f"{vehicle.name} ({values})" if values else vehicle.name
 
 
 def _outcome(result: PlanResult) -> str:

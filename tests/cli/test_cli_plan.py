@@ -18,6 +18,7 @@ from kraft.planning import compilation as kernel_cache
 from kraft.planning.plan_file import read_plan
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
+from kraft_cli.work.plan import vehicle_text
 from ompl_ext.verification import Requirement, Verification, Violation
 
 SCENE = """name: room
@@ -73,6 +74,19 @@ def test_a_person_gets_a_table(capsys: pytest.CaptureFixture[str]) -> None:
     assert rows["clearance"].endswith("m at least, verified with FCL")
     assert {"plan", "first solution", "contingency", "search"} <= set(rows)
     assert err == ""
+
+
+def test_of_many_parameters_those_that_are_0_are_counted() -> None:
+    off = dict.fromkeys(
+        ("dead_zone", "back_emf", "friction", "drag", "scrub", "understeer", "slide", "slip", "skid"), 0.0
+    )
+    vehicle = load_vehicle("car-lag", parameters=off)
+    zero = [name for name, value in vehicle.parameters.items() if value == 0.0]
+    assert len(zero) >= len(off)
+    text = vehicle_text(vehicle)
+    assert text.startswith("car-lag (full_throttle 1, ")
+    assert text.endswith(f"; {len(zero)} others are 0)")
+    assert "skid" not in text
 
 
 def test_the_plan_file_is_written_where_asked_and_only_then(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
