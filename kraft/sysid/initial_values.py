@@ -9,7 +9,6 @@ together, as lanes; the best few are refined.  The search works for any model wh
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from kraft.sysid.chains import Chains
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index
 from kraft.sysid.smoothing import smoothed
-from kraft.vehicles.car import COASTING
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.vehicle import Vehicle
 
@@ -193,66 +191,3 @@ def _loss(residuals: Matrix) -> Floats:
     """Cauchy loss of each candidate (candidates,), which limits the influence of windows with outliers."""
     loss: Floats = np.mean(np.log1p(residuals**2), axis=1)
     return loss
-
-
-DEAD_ZONES = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3)
-"""Dead zones that the regression of the drive tries, as shares of the full throttle."""
-SLOW = 0.05
-"""Speed below which friction does not act in full in the regression, m/s."""
-REGRESSION_SPAN = 0.5
-"""Time over which changes of the speed are explained, s."""
-LEAST_COAST = -0.5
-"""Least first value of `coast` over the damping: at -1 the car coasts without loss, and less of it has no effect."""
-LARGEST = 0.98
-"""Quantile of the accelerations that counts as the largest one."""
-
-
-def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, mean: Matrix) -> dict[str, float]:
-    """Drive and losses of `kraft.vehicles.car` by regression, and its largest acceleration; empty for other models.
-
-    The change of the speed over a span is linear in the parameters if the dead zone is known: it is the sum of their
-    effects, integrated over the measured speed, yaw rate and throttle.  A limit of the acceleration that
-    the logs do not reach has no effect, so that a fit that begins there would not find it.
-    """
-    own = {"a_drive", "damping", "back_emf", "friction", "drag", "scrub", "dead_zone", "effort", "coast"}
-    if not own <= set(parameters.names):
-        return {}
-    from scipy.optimize import nnls  # only identification from logs needs it, and it is slow to load
-
-    vehicle = parameters.vehicle
-    states = np.delete(np.arange(chains.states), chains.first[1:] - 1)  # at which a step begins
-    rates, yaw = data.rates[states], data.poses[states, 2]
-    v, r = rates[:, 0] * np.cos(yaw) + rates[:, 1] * np.sin(yaw), rates[:, 2]
-    throttle = mean[:, list(vehicle.controls).index("throttle")] / parameters.nominal[parameters.index("full_throttle")]
-    span = max(1, round(REGRESSION_SPAN / float(chains.h[0])))
-    begin = np.concatenate(
-        [np.arange(begin, end - span, max(1, span // 2)) for begin, end in pairwise(chains.first_step)]
-    )
-    length = parameters.nominal[parameters.index("L")]
-    best: tuple[float, dict[str, float]] = (np.inf, {})
-    for dead_zone in DEAD_ZONES:
-        u = np.sign(throttle) * np.maximum(np.abs(throttle) - dead_zone, 0.0)
-        terms = _drive_terms(u, v, r, length)
-        integrals = np.column_stack([np.concatenate([[0.0], np.cumsum(t * chains.h)]) for t in terms.values()])
-        effects = integrals[begin + span] - integrals[begin]
-        change = v[begin + span] - v[begin]
-        scale = np.sqrt(np.mean(effects**2, axis=0)) + 1e-9
-        for sign in (1.0, -1.0):
-            found, left = nnls(effects / scale * np.where(np.arange(len(scale)) == 0, sign, 1.0), change)
-            if left < best[0]:
-                values = found / scale * np.where(np.arange(len(scale)) == 0, sign, 1.0)
-                best = (left, {**dict(zip(terms, map(float, values), strict=True)), "dead_zone": dead_zone})
-    known = best[1]
-    more = known.pop("neutral_damping", known["damping"]) - known["damping"]
-    largest = float(np.quantile(np.abs(change), LARGEST)) / (span * float(chains.h[0]))
-    return {**known, "coast": max(more, LEAST_COAST * known["damping"]), "effort": 1.0 / max(largest, 1e-9)}
-
-
-def _drive_terms(u: Floats, v: Floats, r: Floats, length: float) -> dict[str, Floats]:
-    """Effects on the acceleration (n,) of the drive by a throttle `u` (n,), and of the losses at `v` and `r` (n,)."""
-    sense, neutral = np.tanh(v / SLOW), np.abs(u) < COASTING
-    terms = {"a_drive": u, "back_emf": -np.abs(u) * v, "damping": -v, "friction": -sense,
-             "drag": -v * np.abs(v), "scrub": -sense * r * r * length}  # fmt: skip
-    if neutral.any() and not neutral.all():
-        terms |= {"damping": np.where(neutral, 0.0, -v), "neutral_damping": np.where(neutral, -v, 0.0)}
-    return terms

@@ -30,7 +30,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from kraft.errors import Code, InputError
-from kraft.sysid.initial_values import InitialSearch, drive_values
+from kraft.sysid.drive_regression import drive_values
+from kraft.sysid.initial_values import InitialSearch
 from kraft.sysid.interface import AT_BOUND, Settings
 from kraft.sysid.log_motion import reverses
 from kraft.sysid.multistep import CONVERGED, MultiStep, fit
@@ -181,8 +182,8 @@ class StructureSearch:
         problem = graph.problem
         known = drive_values(p, problem.chains, graph.smoothed, problem.actuators.mean(nominal)[0])
         if known:
-            regressed = np.array([known.get(name, value) for name, value in zip(p.names, nominal, strict=True)])
-            return [p.within_bounds(np.where(p.free, regressed, p.nominal))]
+            regressed = [[v.get(name, value) for name, value in zip(p.names, nominal, strict=True)] for v in known]
+            return [p.within_bounds(np.where(p.free, rho, p.nominal)) for rho in regressed]
         few = self.graph(FIRST_TERMS)
         q, problem = few.problem.parameters, few.problem
         search = InitialSearch(
