@@ -79,6 +79,14 @@ class PredictionPair:
         return window_errors(self.constant)
 
 
+ODD_LOGS_MIN: Final = 4
+"""Least number of logs of which one may be told to be odd."""
+ODD_TO_NEXT, ODD_TO_MEDIAN, ODD_SHARE = 2.0, 3.0, 0.02
+"""Error of an odd log over that of the next one and over the median, and as a share of the way, at least."""
+PATH_MIN: Final = 0.1
+"""Least path of a window whose error is compared with it, m."""
+
+
 @dataclass(frozen=True)
 class PredictionEvaluation:
     """Predictions of the fitted logs, and of the held-out logs if any of them can be predicted.
@@ -181,6 +189,28 @@ def _unpredicted(logs: tuple[Log, ...], pair: PredictionPair) -> tuple[str, ...]
     predicted = {window.log for window in pair.identified}
     missed = [log.name for log in logs if log.name not in predicted]
     return (f"held-out logs too short to be predicted: {', '.join(missed)}",) if missed else ()
+
+
+def odd_log_warning(evaluation: PredictionEvaluation) -> tuple[str, ...]:
+    """The warning that one log is predicted far worse than any other, if so: it may be of another car, or changed."""
+    held_out = evaluation.held_out.identified if evaluation.held_out else ()
+    shares: dict[str, list[float]] = {}
+    for window in (*evaluation.fitted.identified, *held_out):
+        k = _reached(window, HORIZONS[0])
+        path = 0.0 if k is None else float(np.hypot(*np.diff(window.poses[: k + 1, :2], axis=0).T).sum())
+        if path >= PATH_MIN:
+            off = (window.predicted - window.poses)[k, :2]
+            shares.setdefault(window.log, []).append(float(np.hypot(*off)) / path)
+    errors = sorted((float(np.median(found)), name) for name, found in shares.items())
+    if len(errors) < ODD_LOGS_MIN:
+        return ()
+    (worst, name), (next_worst, _), (median, _) = errors[-1], errors[-2], errors[(len(errors) - 1) // 2]
+    if worst < max(ODD_TO_NEXT * next_worst, ODD_TO_MEDIAN * median, ODD_SHARE):
+        return ()
+    return (
+        f"{name} is predicted worse than any other log: after 1 s by {100 * worst:.1f} % of the way, the others by at "
+        f"most {100 * next_worst:.1f} %; if another car, floor, load or battery drove it, leave it out",
+    )
 
 
 def prediction_warnings(pair: PredictionPair) -> tuple[str, ...]:

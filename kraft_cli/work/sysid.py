@@ -14,6 +14,7 @@ from kraft.sysid.acceptance import (
     PredictionEvaluation,
     evaluate_predictions,
     objections,
+    odd_log_warning,
     replacement_objections,
 )
 from kraft.sysid.base_vehicle import (
@@ -135,6 +136,7 @@ def run_sysid(
     unknown = (
         *_untested(split, left_out),
         *_of_two_cars(split),
+        *odd_log_warning(evaluation),
         *_of_leaning_floor(split, base),
         *_unknown_to_planning(request, identification),
     )

@@ -90,6 +90,18 @@ def test_two_cars_in_one_folder_are_told_apart(folder: Path, capsys: pytest.Capt
     assert not (folder / "my.yaml").exists()
 
 
+def test_one_log_of_another_car_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A log that is held out, of a car that drives much faster: two groups of logs would need two logs each."""
+    main([*PLAIN])
+    out, err = capsys.readouterr()
+    assert "is predicted worse than any other log" not in err
+    odd = json.loads(out)["held_out"][0]
+    rewrite(folder / "logs" / odd, "poses.csv", lambda p: p * [1.0, 1.5, 1.5, 1.0])
+    main([*PLAIN])
+    (line,) = [line for line in said(capsys) if "is predicted worse than any other log" in line]
+    assert line.startswith(f"warning: {odd} is predicted worse")
+
+
 def test_logs_that_turn_to_one_side_are_warned_of(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for run in FOUR:
         rewrite(folder / run, "commands.csv", lambda c: np.column_stack([c[:, :2], 0.2 + 0.1 * np.sin(c[:, 0])]))

@@ -18,10 +18,12 @@ from kraft.driving.method import Adaptive
 from kraft.errors import Code, InputError
 from kraft.logs.log import Log
 from kraft.sysid.acceptance import (
+    PredictionEvaluation,
     PredictionPair,
     errors_by_speed,
     fitted_warnings,
     objections,
+    odd_log_warning,
     prediction_warnings,
     replacement_objections,
 )
@@ -293,6 +295,27 @@ def test_values_that_predict_unseen_logs_worse_than_before_are_warned_of_and_far
     for said in (*prediction_warnings(unseen), *found):
         assert re.search(r"\d\d\.\d\d cm identified, \d\d\.\d\d cm initial", said)
     assert objections(RESULT, replace(EVALUATION, held_out=None)) == ()
+
+
+@pytest.mark.parametrize(
+    ("drifts", "odd"),
+    [
+        ([0.01, 0.012, 0.011, 0.05], "drive_3"),
+        ([0.01, 0.012, 0.03, 0.05], ""),  # the next one is as bad
+        ([0.001, 0.001, 0.001, 0.01], ""),  # all are good
+        ([0.01, 0.012, 0.05], ""),  # too few
+    ],
+)
+def test_a_log_that_is_predicted_far_worse_than_all_others_is_named(drifts: list[float], odd: str) -> None:
+    """Straight drives at 1 m/s, and predictions that drift from them."""
+    times = np.arange(0.0, 3.01, 0.1)
+    poses = np.column_stack([times, 0.0 * times, 0.0 * times])
+    windows = [
+        Window(f"drive_{k}", times, poses, poses + np.outer(times, [0.0, drift, 0.0])) for k, drift in enumerate(drifts)
+    ]
+    fitted, held_out = (PredictionPair(tuple(own), (), ()) for own in (windows[1:], windows[:1]))
+    found = odd_log_warning(PredictionEvaluation(fitted, held_out))
+    assert [line.split(" ")[0] for line in found] == ([odd] if odd else [])
 
 
 def test_errors_are_told_apart_by_speed_and_along_the_vehicle() -> None:
