@@ -11,7 +11,7 @@ from pydantic import Field, PrivateAttr, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
 from kraft.config import bundled
-from kraft.config.schema import Angle, Name, Positive, StrictModel, read_model, refuse
+from kraft.config.schema import Angle, Name, Positive, StrictModel, is_number, read_model, refuse
 from kraft.config.source import Source
 from kraft.errors import Code
 
@@ -20,6 +20,10 @@ Frame = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_/]*$"
 Seconds = Annotated[float, Field(gt=0, le=60)]
 Rate = Annotated[float, Field(ge=1, le=500)]
 Offset = Annotated[float, Field(ge=-10, le=10)]
+POSE_RATE: Final = 30.0
+"""Poses per second, Hz, ..."""
+POSE_AGE, COMMAND_TIMEOUT = 0.4, 0.2
+"""... age of a pose (s) from which the vehicle stops, and time after the last command, where a file states none."""
 Factor = Annotated[float, Field(ge=-1000, le=1000)]
 
 
@@ -96,7 +100,7 @@ class PoseInput(StrictModel):
     """frame of the poses: that of the scenario"""
     stamp: Literal["header", "arrival"] = "header"
     """clock of the poses: the header's stamp, or the time of arrival"""
-    rate_hz: Rate = 30.0
+    rate_hz: Rate = POSE_RATE
     """poses per second that are expected"""
     reliable: bool = False
     """ask DDS to send lost poses again"""
@@ -154,7 +158,7 @@ class CommandOutput(StrictModel):
     """{unit, scale} of the speed"""
     steering: SteeringCommand = SteeringCommand()
     """{scale, offset_deg} of the steering angle"""
-    timeout: Annotated[float, Field(gt=0, le=5)] = 0.2
+    timeout: Annotated[float, Field(gt=0, le=5)] = COMMAND_TIMEOUT
     """time after the last command when the robot's multiplexer stops it, s"""
 
 
@@ -197,7 +201,7 @@ class Limits(StrictModel):
 class Watchdog(StrictModel):
     """When a pose is not believed, and when the vehicle stops by itself."""
 
-    pose_age: Annotated[float, Field(ge=0.05, le=5)] = 0.4
+    pose_age: Annotated[float, Field(ge=0.05, le=5)] = POSE_AGE
     """age of the newest believed pose at which the vehicle stops, s"""
     jump: Positive = 0.75
     """distance from the prediction, and from where the commands led, beyond which a pose is not believed, m"""
@@ -267,30 +271,46 @@ class Robot(StrictModel):
                     problem = f"is given with {JOINT_STATE}, which takes the controls of the model as they are"
                     expected = "expected it for the other types alone"
                     yield refuse(problem, expected, ("command", key), Code.CONFLICT)
+        yield from cls._rates(content)
+
+    @classmethod
+    def _rates(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Rates of commands and poses that are too slow for the timeouts."""
+
+        def number(section: str, key: str, default: float) -> float | None:
+            part = content.get(section, {})
+            value = part.get(key, default) if isinstance(part, Mapping) else None
+            return float(value) if is_number(value) and value > 0 else None
+
+        rate, timeout = content.get("rate_hz"), number("command", "timeout", COMMAND_TIMEOUT)
+        if is_number(rate) and rate > 0 and timeout is not None and (late := _too_slow(rate, timeout)):
+            yield refuse(f"is {rate:g}, {late[0]}", late[1], ("rate_hz",), Code.CONFLICT)
+        poses, age = number("pose", "rate_hz", POSE_RATE), number("watchdog", "pose_age", POSE_AGE)
+        if poses is not None and age is not None and 2.0 / poses > age:
+            problem = f"is {age:g}, shorter than it takes for two poses to arrive"
+            yield refuse(problem, f"expected at least {2.0 / poses:.3g}", ("watchdog", "pose_age"), Code.CONFLICT)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         for error in self.across_keys(self.model_dump()):
             raise error
-        if self.rate_hz is not None and (late := self.too_slow(self.rate_hz)):
-            raise refuse(f"is {self.rate_hz:g}, {late[0]}", late[1], ("rate_hz",), Code.CONFLICT)
-        if 2.0 / self.pose.rate_hz > self.watchdog.pose_age:
-            problem = f"is {self.watchdog.pose_age:g}, shorter than it takes for two poses to arrive"
-            expected = f"expected at least {2.0 / self.pose.rate_hz:.3g}"
-            raise refuse(problem, expected, ("watchdog", "pose_age"), Code.CONFLICT)
         return self
 
     def too_slow(self, rate: float) -> tuple[str, str] | None:
         """What is wrong with commands at a rate (Hz) that the multiplexer does not wait for, and what is expected."""
-        if 2.0 / rate <= self.command.timeout:
-            return None
-        problem = f"two commands apart more than the timeout of {self.command.timeout:g} s"
-        return problem, f"expected at least {2.0 / self.command.timeout:g}"
+        return _too_slow(rate, self.command.timeout)
 
     @property
     def source(self) -> Source:
         """Position of each value in the file."""
         return self._source
+
+
+def _too_slow(rate: float, timeout: float) -> tuple[str, str] | None:
+    """What is wrong with commands at a rate (Hz) beside a timeout (s), and what is expected; None if nothing is."""
+    if 2.0 / rate <= timeout:
+        return None
+    return f"two commands apart more than the timeout of {timeout:g} s", f"expected at least {2.0 / timeout:g}"
 
 
 def load_robot(name_or_path: str | Path) -> Robot:

@@ -10,17 +10,18 @@ import os
 import struct
 import warnings
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final, Literal, Self, TypeAlias
+from typing import Annotated, Final, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
+from pydantic_core import PydanticCustomError
 
-from kraft.config.schema import LENGTH_MIN, Angle, Coordinate, Probability, StrictModel, read_model, refuse
+from kraft.config.schema import LENGTH_MIN, Angle, Coordinate, Probability, StrictModel, is_number, read_model, refuse
 from kraft.config.source import Source
 from kraft.errors import Code, InputError
 from ompl_ext.memory import available_memory, in_words
@@ -211,12 +212,13 @@ class MapServerFile(StrictModel):
     mode: Literal["trinary", "scale", "raw"] = "trinary"
     """how map_server turns brightness into occupancy"""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.free_thresh >= self.occupied_thresh:
-            problem = f"is {self.free_thresh:g}, not below occupied_thresh"
-            raise refuse(problem, f"expected less than {self.occupied_thresh:g}", ("free_thresh",), Code.CONFLICT)
-        return self
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Check the order of the thresholds."""
+        free, occupied = (content.get(key, cls.model_fields[key].default) for key in ("free_thresh", "occupied_thresh"))
+        if is_number(free) and is_number(occupied) and free >= occupied:
+            problem = f"is {free:g}, not below occupied_thresh"
+            yield refuse(problem, f"expected less than {occupied:g}", ("free_thresh",), Code.CONFLICT)
 
 
 def read_map(path: Path, *, height: float, name: str | None) -> OccupancyMap:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
+from pydantic_core import PydanticCustomError
 
-from kraft.config.schema import NonNegative, Probability, StrictModel, build, refuse
+from kraft.config.schema import NonNegative, Probability, StrictModel, build, is_number, refuse
 from kraft.errors import Code, InputError
 
 PLANNERS: Final[dict[str, str]] = {
@@ -23,6 +25,7 @@ PLANNERS: Final[dict[str, str]] = {
 STEPS_MAX: Final = 100_000  # of an edge, as many as the planner has memory for (`ompl_ext.query.MOST_STEPS`)
 DEFAULT_ITERATIONS: Final = 20_000
 EDGE_DURATION: Final = (0.5, 1.0)
+INTEGRATION_STEP: Final = 0.1
 
 Duration = Annotated[float, Field(gt=0, le=1000)]
 Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
@@ -56,7 +59,7 @@ class Planning(StrictModel):
     """planning budget in wall-clock time, not repeatable, s"""
     edge_duration: tuple[Duration, Duration] | None = None
     """shortest and longest duration of one tree edge, s; 0.5 and 1, or longer for a vehicle that accelerates slowly"""
-    integration_step: Duration = 0.1
+    integration_step: Duration = INTEGRATION_STEP
     """longest step of the integrator, s; the longest edge takes ten steps or more"""
     blossom: Annotated[int, Field(ge=1, le=32)] = 32
     """candidate edges that are propagated together when a node is expanded; the best of them is added"""
@@ -71,21 +74,25 @@ class Planning(StrictModel):
     safety: Safety = Safety()
     """clearance of contingency manoeuvres"""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        shortest, longest = self.edge_duration or EDGE_DURATION
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Check the order of the durations, the step beside them, and that there is one budget."""
+        if content.get("iterations") is not None and content.get("time") is not None:
+            yield refuse("both `iterations` and `time` are given", "expected one of them", ("time",), Code.CONFLICT)
+        durations = content.get("edge_duration") or EDGE_DURATION
+        shortest, longest = durations if isinstance(durations, Sequence) and len(durations) == 2 else (None, None)
+        step = content.get("integration_step", INTEGRATION_STEP)
+        if not (is_number(shortest) and is_number(longest)):
+            return
         if shortest > longest:
             problem = f"the shortest duration {shortest:g} is longer than the longest {longest:g}"
-            raise refuse(problem, "expected [shortest, longest]", ("edge_duration",))
-        if self.integration_step > shortest:
-            problem = f"is {self.integration_step:g}, longer than the shortest edge"
-            raise refuse(problem, f"expected at most {shortest:g}", ("integration_step",), Code.CONFLICT)
-        if self.steps_of(longest) > STEPS_MAX:
+            yield refuse(problem, "expected [shortest, longest]", ("edge_duration",))
+        if is_number(step) and step > shortest:
+            problem = f"is {step:g}, longer than the shortest edge"
+            yield refuse(problem, f"expected at most {shortest:g}", ("integration_step",), Code.CONFLICT)
+        elif is_number(step) and step > 0.0 and _steps_of(longest, step) > STEPS_MAX:
             expected = f"expected a step with which the longest edge takes at most {STEPS_MAX} steps"
-            raise refuse(f"is {self.integration_step:g}", expected, ("integration_step",), Code.CONFLICT)
-        if self.iterations is not None and self.time is not None:
-            raise refuse("both `iterations` and `time` are given", "expected one of them", ("time",), Code.CONFLICT)
-        return self
+            yield refuse(f"is {step:g}", expected, ("integration_step",), Code.CONFLICT)
 
     def with_budget(self, *, iterations: int | None = None, time: float | None = None) -> Planning:
         """Same settings with another budget: iterations, or time in s.
@@ -100,9 +107,14 @@ class Planning(StrictModel):
 
     def steps_of(self, longest: float) -> int:
         """Integration steps of an edge of which the longest takes `longest` s."""
-        return max(10, math.ceil(longest / self.integration_step - 1e-9))
+        return _steps_of(longest, self.integration_step)
 
     @property
     def iteration_budget(self) -> int | None:
         """Budget in iterations, or None if the budget is `time`."""
         return self.iterations if self.iterations is not None or self.time is not None else DEFAULT_ITERATIONS
+
+
+def _steps_of(duration: float, step: float) -> int:
+    """Integration steps of an edge, of at most `step` s."""
+    return max(10, math.ceil(duration / step - 1e-9))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, ClassVar, Final, Literal, Self
+from typing import Annotated, ClassVar, Final, Literal
 
 import numpy as np
-from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, StringConstraints
 from pydantic_core import PydanticCustomError
 
 from kraft.config.schema import (
@@ -61,15 +61,14 @@ class Sensing(StrictModel):
     command_delay: Delay = 0.0
     """time between a command of the controller and its effect, s"""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.preset == "rendered":
-            given = {"dropout": self.dropout is not None, "noise_scale": self.noise_scale != 1.0}
-            given["correlation_time"] = self.correlation_time is not None
-            for key in (key for key, is_given in given.items() if is_given):
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Check that rendered frames have no errors that are drawn."""
+        usual = {"dropout": None, "noise_scale": 1.0, "correlation_time": None}
+        if content.get("preset") == "rendered":
+            for key in (key for key, value in usual.items() if content.get(key, value) != value):
                 problem = "is given, but the errors of rendered frames are not drawn"
-                raise refuse(problem, "expected no such key, or another preset", (key,), Code.CONFLICT)
-        return self
+                yield refuse(problem, "expected no such key, or another preset", (key,), Code.CONFLICT)
 
 
 class Score(StrictModel):
@@ -210,14 +209,14 @@ class ObstacleFile(StrictModel):
     map: MapFile | None = None
     """an occupancy map {file, height}"""
 
-    @model_validator(mode="after")
-    def _one_shape(self) -> Self:
-        given = [shape for shape in SHAPES if getattr(self, shape) is not None]
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Check that there is one shape."""
+        given = [shape for shape in SHAPES if content.get(shape) is not None]
         if len(given) != 1:
             problem = f"holds {' and '.join(given)}" if given else "holds no shape"
             code = Code.CONFLICT if given else Code.MISSING
-            raise refuse(problem, "expected exactly one of box, circle, polygon, map", code=code)
-        return self
+            yield refuse(problem, "expected exactly one of box, circle, polygon, map", code=code)
 
 
 class StartFile(StrictModel):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, NamedTuple, Self
 
 from pydantic import Field, model_validator
@@ -83,13 +83,14 @@ class Tilt(StrictModel):
     uphill_deg: Angle = 90.0
     """direction that leads uphill, degrees from +x (90 is +y)"""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if (self.angle is None) == (self.angle_deg is None):
-            code = Code.MISSING if self.angle is None else Code.CONFLICT
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Check that there is one angle."""
+        angle, degrees = content.get("angle"), content.get("angle_deg")
+        if (angle is None) == (degrees is None):
+            code = Code.MISSING if angle is None else Code.CONFLICT
             expected = "expected angle in rad or angle_deg in degrees"
-            raise refuse("needs one of `angle` and `angle_deg`", expected, code=code)
-        return self
+            yield refuse("needs one of `angle` and `angle_deg`", expected, code=code)
 
     @property
     def slope(self) -> float:

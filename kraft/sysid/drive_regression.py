@@ -88,7 +88,7 @@ class _Samples:
 
 
 def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, mean: Matrix) -> list[dict[str, float]]:
-    """Drive and losses of `kraft.vehicles.car`, the best ones first; empty for other models.
+    """Drive and losses of `kraft.vehicles.car`, the best ones first; empty for other models and for short logs.
 
     Args:
         parameters: of the model; the throttle is in the unit of their nominal `full_throttle`.
@@ -100,6 +100,8 @@ def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, me
     if not own <= set(parameters.names):
         return []
     samples = _samples(parameters, chains, data, mean)
+    if not len(samples.change):  # all parts are shorter than a span
+        return []
     linear = _linear(samples)
     limited = _limited(samples, linear)
     both = [{**linear, "effort": 1.0 / samples.largest}]
@@ -115,7 +117,7 @@ def _samples(parameters: Parameters, chains: Chains, data: SmoothedPoses, mean: 
     v = rates[:, 0] * np.cos(yaw) + rates[:, 1] * np.sin(yaw)
     steps = max(1, round(SPAN / float(chains.h[0])))
     spans = [np.arange(begin, end - steps, max(1, steps // 2)) for begin, end in pairwise(chains.first_step)]
-    begin = np.concatenate(spans)
+    begin = np.concatenate(spans).astype(np.int64)
     throttle = mean[:, list(parameters.vehicle.controls).index("throttle")]
     full, wheelbase = (float(parameters.nominal[parameters.index(name)]) for name in ("full_throttle", "L"))
     change = v[begin + steps] - v[begin]

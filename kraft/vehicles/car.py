@@ -12,7 +12,7 @@ which are 1):
               against the motion
     losses    (damping + back_emf |u|) v + drag v |v|, friction against the motion, scrub of turned wheels
     effort    inverse of the largest acceleration by drive, damping and back_emf together: that of a speed controller
-    coast     damping at neutral throttle less that under drive: of a speed controller that brakes there, or lets go
+    coast     damping at neutral throttle less that under drive; both together are at least 0
     steering  phi_diff + steer (1 +- asymmetry) n / sqrt(1 + (saturation n)^2), n the steering
     tyres     curvature tan(delta) / (L (1 + understeer v^2)); lateral acceleration at most 1 / slide; slip of the body
     pose      lever and yaw_offset of what is tracked
@@ -43,7 +43,7 @@ LEAST_WIDTH = 0.01
 SOFT_THROTTLE = 0.008
 """Share of full throttle over which the dead zone ends, so that derivatives exist."""
 COASTING = 0.005
-"""Share of full throttle beyond the dead zone at which half of `coast` is left."""
+"""Throttle beyond the dead zone, as a share of the full one, at which half of `coast` acts."""
 SOFT_SIDE = 0.05
 """Share of full steering over which one side's gain changes to the other's."""
 BRAKING = 1.0

@@ -54,3 +54,44 @@ def test_the_problems_of_all_options_and_files_are_reported_together(
     assert out == ""
     assert sorted(places(err)) == COMMANDS[command].split(", ")
     assert list(folder.iterdir()) == []
+
+
+SCENE = """name: room
+bounds: {x: [0, 4], y: [0, 4]}
+obstacles:
+  - {box: {center: [2, 2], size: [1, 1]}, circle: {center: [2, 2], radius: wide}}
+start: {x: 0.5, y: 0.5, heading_deg: 0}
+goal: {center: [3, 3], radius: 0.3}
+planning: {iterations: 500, time: 2, edge_duration: [1, 0.5], goal_bias: often}
+sensing: {preset: rendered, noise_scale: 2, dropout: 3}
+truth: {tilt: {angle: 0.1, angle_deg: 5, uphill_deg: north}}
+"""
+ROBOT = """name: mine
+transport: {kind: loopback}
+rate_hz: 5
+pose: {topic: /pose, type: geometry_msgs/msg/PoseStamped, rate_hz: 2}
+command: {topic: /drive, timeout: 0.1}
+limits: {speed: fast}
+"""
+FILES = {
+    "room.yaml": (
+        SCENE,
+        ["4:5: obstacles[0]", "4:76: obstacles[0].circle.radius", "7:35: planning.time",
+         "7:53: planning.edge_duration", "7:74: planning.goal_bias", "8:42: sensing.noise_scale",
+         "8:54: sensing.dropout", "8:54: sensing.dropout", "9:15: truth.tilt", "9:54: truth.tilt.uphill_deg"],
+    ),
+    "robot.yaml": (ROBOT, ["1:1: watchdog.pose_age", "3:10: rate_hz", "6:17: limits.speed"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_problems_between_keys_are_reported_beside_those_of_the_same_keys(
+    file: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content, expected = FILES[file]
+    (folder / file).write_text(content)
+    assert main(["validate", file]) == 2
+    *lines, total = capsys.readouterr().err.splitlines()
+    assert total == f"{len(expected)} problems in 1 file"
+    for place, line in zip(expected, lines, strict=True):
+        assert place in line

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from support.cars import TRUTH, car, drive
 
-from kraft.sysid import Settings, prediction_errors, unexplained
+from kraft.sysid import Settings, drive_regression, prediction_errors, unexplained
 from kraft.sysid.log_motion import reverses
 from kraft.sysid.structure import StructureSearch
 from kraft.sysid.terms import identify_terms
@@ -44,6 +44,18 @@ def test_the_largest_acceleration_of_a_speed_controller_is_found() -> None:
     assert found.values["effort"] == pytest.approx(CONTROLLER["effort"], rel=0.03)
     assert found.values["a_drive"] / found.values["damping"] == pytest.approx(3.0, rel=0.02)
     assert prediction_errors(car_file(), logs[5:], found.values).position[3.0] < 0.05
+
+
+def test_a_limit_that_hides_the_drive_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Friction takes most of the acceleration, and brakes are stronger: without the limit the drive seems weak."""
+    model = car(a_drive=4.7, damping=1.1, friction=1.3, drag=0.3, brake=2.0, effort=0.58)
+    logs = [drive(model, seed, 20.0, low=(-0.6, -1.0)) for seed in range(5)]
+    found = identify_terms(car_file(), logs).identification
+    assert found.values["effort"] == pytest.approx(0.58, rel=0.05)
+    assert found.values["a_drive"] == pytest.approx(4.7, rel=0.1)
+    monkeypatch.setattr(drive_regression, "CLEARLY_BETTER", 0.0)
+    hidden = identify_terms(car_file(), logs).identification
+    assert hidden.values["effort"] != pytest.approx(0.58, rel=0.05)
 
 
 def test_the_time_that_a_speed_controller_takes_is_no_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:
