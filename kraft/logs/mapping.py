@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import abc
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
 from pydantic import ConfigDict, Field, PrivateAttr, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from kraft.config.schema import NonNegative, Positive, StrictModel, read_model, refuse
 from kraft.config.source import KeyPath, Source
@@ -120,11 +122,11 @@ class Poses(StrictModel):
     def _angle(cls, value: Column | None) -> Column | None:
         return _in(value, "angle")
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.yaw is not None and self.quaternion is not None:
-            raise refuse("is given besides yaw", "expected one of the two", ("quaternion",))
-        return self
+    @classmethod
+    def across_keys(cls, content: abc.Mapping[str, object]) -> abc.Iterator[PydanticCustomError]:
+        """Check that there is one heading."""
+        if content.get("yaw") is not None and content.get("quaternion") is not None:
+            yield refuse("is given besides yaw", "expected one of the two", ("quaternion",))
 
 
 class DeadMan(StrictModel):
@@ -169,6 +171,12 @@ class Limits(StrictModel):
     """a log in which the vehicle moves less than this is refused, m"""
 
 
+def _within(content: abc.Mapping[str, object], section: str, key: str) -> object:
+    """Value of a key of a section, which is a mapping as it was written, or a valid model."""
+    part = content.get(section)
+    return part.get(key) if isinstance(part, abc.Mapping) else getattr(part, key, None)
+
+
 class Mapping(StrictModel):
     """A mapping file."""
 
@@ -183,17 +191,17 @@ class Mapping(StrictModel):
 
     _source: Source = PrivateAttr(default_factory=Source)
 
-    @model_validator(mode="after")
-    def _check_masks(self) -> Self:
-        """Refuse a masked control without a column, if the file names columns of controls: it is misspelt."""
-        named = self.commands.controls
-        known = [*named, *(name for name in SYNONYMS if name not in named)]
-        masks = self.dead_man.masks if self.dead_man is not None and named else None
-        for i, name in enumerate(masks or ()):
-            if name not in known:
+    @classmethod
+    def across_keys(cls, content: abc.Mapping[str, object]) -> abc.Iterator[PydanticCustomError]:
+        """Check that a masked control has a column, if the file names columns of controls: else it is misspelt."""
+        named, masks = _within(content, "commands", "controls"), _within(content, "dead_man", "masks")
+        if not (isinstance(named, abc.Mapping) and named and isinstance(masks, list | tuple)):
+            return
+        known = [*map(str, named), *(name for name in SYNONYMS if name not in named)]
+        for i, name in enumerate(masks):
+            if isinstance(name, str) and name not in known:
                 at = ("dead_man", "masks", i)
-                raise refuse(f"{name!r} is not a control of this file", suggestion(name, known), at, Code.UNKNOWN)
-        return self
+                yield refuse(f"{name!r} is not a control of this file", suggestion(name, known), at, Code.UNKNOWN)
 
     @property
     def source(self) -> Source:
