@@ -85,7 +85,11 @@ FILES = {
          "7:53: planning.edge_duration", "7:74: planning.goal_bias", "8:42: sensing.noise_scale",
          "8:54: sensing.dropout", "8:54: sensing.dropout", "9:15: truth.tilt", "9:54: truth.tilt.uphill_deg"],
     ),
-    "log.yaml": (MAPPING, ["1:74: commands.controls.steering.scale", "2:53: poses.yaw.unit", "2:69: poses.quaternion", "2:69: poses.quaternion", "3:34: dead_man.masks[0]", "4:21: limits.top_speed"]),
+    "log.yaml": (
+        MAPPING,
+        ["1:74: commands.controls.steering.scale", "2:53: poses.yaw.unit", "2:69: poses.quaternion",
+         "2:69: poses.quaternion", "3:34: dead_man.masks[0]", "4:21: limits.top_speed"],
+    ),
     "robot.yaml": (ROBOT, ["1:1: watchdog.pose_age", "3:10: rate_hz", "6:17: limits.speed"]),
 }  # fmt: skip
 
