@@ -15,17 +15,19 @@ from kraft.sysid.parameters import parameters_of
 from kraft.sysid.selection import is_shown
 from kraft.sysid.structure import StructureSearch
 from kraft.sysid.structure_choice import Structure, chosen
-from kraft.sysid.terms import Searched, simplified
+from kraft.sysid.terms import Searched, searched, simplified
 from kraft.vehicles.config import load_vehicle_config
 
 FOLDS = 8
 UNUSED: Any = None
+CONVERGED: Any = SimpleNamespace(converged=True)
+UNFINISHED: Any = SimpleNamespace(converged=False)
 
 
 def structure(terms: str, error: float, spread: float = 0.0) -> Structure:
     """A structure whose mean error is `error`, and differs between folds by `spread`."""
     errors = error + spread * np.linspace(-1.0, 1.0, FOLDS)[:, None] * np.ones((FOLDS, 3))
-    return Structure(tuple(terms.split()), UNUSED, UNUSED, errors, np.zeros((FOLDS, 1)))
+    return Structure(tuple(terms.split()), UNUSED, CONVERGED, errors, np.zeros((FOLDS, 1)))
 
 
 @pytest.mark.parametrize(
@@ -144,7 +146,7 @@ class KnownSearch(StructureSearch):
         return self.known
 
     def converged(self, structure: Structure) -> Structure:
-        return structure
+        return replace(structure, optimum=CONVERGED) if structure.optimum is UNFINISHED else structure
 
     def completed(self, structure: Structure, path: Any) -> Structure:
         return structure
@@ -180,3 +182,16 @@ def test_lags_that_the_vehicle_lacks_do_not_hide_the_simpler_model(alike: float,
     assert found.best is {"alike": same, "own": search.known[1], "richer": path[1]}[taken]
     assert sum(each is found.best for each in found.trials) == 1
     assert search.searched == (taken == "own")
+
+
+def test_the_chosen_structure_is_fitted_to_the_end() -> None:
+    """Structures from which a term was switched off last were fitted with few iterations."""
+
+    class Pruning(KnownSearch):
+        def in_long_windows(self, structure: Structure, path: Any) -> tuple[Structure, StructureSearch]:
+            return replace(structure, optimum=UNFINISHED, added="slip"), self
+
+    found = searched(Pruning(structure("drag slip", 1.0), structure("slip", 1.0)))
+    assert found.best.optimum.converged
+    assert found.best.added == "slip"
+    assert any(each is found.best for each in found.trials)
