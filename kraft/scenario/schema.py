@@ -211,9 +211,9 @@ class ObstacleFile(StrictModel):
 
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
-        """Check that there is one shape."""
+        """Check that there is one shape; a key that is unknown may be meant as one, and is reported anyway."""
         given = [shape for shape in SHAPES if content.get(shape) is not None]
-        if len(given) != 1:
+        if len(given) > 1 or not (given or set(content) - set(cls.model_fields)):
             problem = f"holds {' and '.join(given)}" if given else "holds no shape"
             code = Code.CONFLICT if given else Code.MISSING
             yield refuse(problem, "expected exactly one of box, circle, polygon, map", code=code)

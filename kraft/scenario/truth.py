@@ -85,9 +85,10 @@ class Tilt(StrictModel):
 
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
-        """Check that there is one angle."""
+        """Check that there is one angle; a key that is unknown may be meant as one, and is reported anyway."""
         angle, degrees = content.get("angle"), content.get("angle_deg")
-        if (angle is None) == (degrees is None):
+        neither = angle is None and degrees is None and set(content) <= set(cls.model_fields)
+        if neither or (angle is not None and degrees is not None):
             code = Code.MISSING if angle is None else Code.CONFLICT
             expected = "expected angle in rad or angle_deg in degrees"
             yield refuse("needs one of `angle` and `angle_deg`", expected, code=code)
