@@ -44,6 +44,8 @@ SOFT_THROTTLE = 0.008
 """Share of full throttle over which the dead zone ends, so that derivatives exist."""
 COASTING = 0.005
 """Throttle beyond the dead zone, as a share of the full one, at which half of `coast` acts."""
+CORNER = 0.045
+"""Share of the largest acceleration to either side of it within which the limit is smooth: 1.1 % less at the corner."""
 SOFT_SIDE = 0.05
 """Share of full steering over which one side's gain changes to the other's."""
 BRAKING = 1.0
@@ -75,11 +77,11 @@ def limited(demand: float) -> float:
 
 @derivative
 def clipped(demand: float) -> float:
-    """The same with a sharp limit, as controllers have it: within 1.1 % of the clipped demand, and smooth."""
-    power = demand
-    for _ in range(6):
-        power *= power  # demand^64
-    return 1.0 / sqrt(sqrt(sqrt(sqrt(sqrt(sqrt(1.0 + power))))))
+    """The same with a sharp limit, as controllers have it: smooth within `CORNER` of it, exact elsewhere."""
+    size = demand if demand > 0.0 else -demand
+    beyond = size - (1.0 - CORNER)
+    bent = size - beyond * beyond / (4.0 * CORNER) if beyond < 2.0 * CORNER else 1.0
+    return bent / size if beyond > 0.0 else 1.0
 
 
 @derivative
