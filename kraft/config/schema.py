@@ -44,7 +44,7 @@ class StrictModel(BaseModel):
 
     @model_validator(mode="after")
     def _check_across_keys(self) -> Self:
-        for error in self.across_keys(dict(self)):
+        for error in self.across_keys(self.model_dump()):
             raise error
         return self
 
@@ -52,7 +52,7 @@ class StrictModel(BaseModel):
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
         """Problems between keys, see `refuse`; checked even if single keys are wrong, where pydantic checks nothing.
 
-        `content` is the mapping as it was written, with values of any type, or the fields of a valid model.
+        `content` is the mapping as it was written, with values of any type, or that of a valid model.
         """
         yield from ()
 

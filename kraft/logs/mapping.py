@@ -171,12 +171,6 @@ class Limits(StrictModel):
     """a log in which the vehicle moves less than this is refused, m"""
 
 
-def _within(content: abc.Mapping[str, object], section: str, key: str) -> object:
-    """Value of a key of a section, which is a mapping as it was written, or a valid model."""
-    part = content.get(section)
-    return part.get(key) if isinstance(part, abc.Mapping) else getattr(part, key, None)
-
-
 class Mapping(StrictModel):
     """A mapping file."""
 
@@ -194,7 +188,9 @@ class Mapping(StrictModel):
     @classmethod
     def across_keys(cls, content: abc.Mapping[str, object]) -> abc.Iterator[PydanticCustomError]:
         """Check that a masked control has a column, if the file names columns of controls: else it is misspelt."""
-        named, masks = _within(content, "commands", "controls"), _within(content, "dead_man", "masks")
+        commands, dead_man = content.get("commands"), content.get("dead_man")
+        named = commands.get("controls") if isinstance(commands, abc.Mapping) else None
+        masks = dead_man.get("masks") if isinstance(dead_man, abc.Mapping) else None
         if not (isinstance(named, abc.Mapping) and named and isinstance(masks, list | tuple)):
             return
         known = [*map(str, named), *(name for name in SYNONYMS if name not in named)]

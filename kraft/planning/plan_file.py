@@ -13,10 +13,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self, TypeGuard
+from typing import Annotated, Any, Final, Literal, TypeGuard
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic_core import PydanticCustomError
 
 from kraft.config.document import Document
@@ -316,13 +316,6 @@ class PlanFile(StrictModel):
     """manoeuvre that stops the vehicle {manoeuvre, spare, times, states}"""
     versions: object = None
     """versions of the software"""
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        content = {**dict(self), "contingency": None if self.contingency is None else dict(self.contingency)}
-        for error in self.across_keys(content):
-            raise error
-        return self
 
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:

@@ -290,12 +290,6 @@ class Robot(StrictModel):
             problem = f"is {age:g}, shorter than it takes for two poses to arrive"
             yield refuse(problem, f"expected at least {2.0 / poses:.3g}", ("watchdog", "pose_age"), Code.CONFLICT)
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        for error in self.across_keys(self.model_dump()):
-            raise error
-        return self
-
     def too_slow(self, rate: float) -> tuple[str, str] | None:
         """What is wrong with commands at a rate (Hz) that the multiplexer does not wait for, and what is expected."""
         return _too_slow(rate, self.command.timeout)
