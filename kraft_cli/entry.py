@@ -1,11 +1,16 @@
-"""Entry point of the process of `kraft`: no traceback of a signal before the command, and none counts after it."""
+"""Entry point of the process of `kraft`: no traceback of a signal before the command, and none counts after it.
+
+Linear algebra works in one thread, unless the environment says otherwise: kraft works on all cores itself.
+"""
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 
 from kraft_cli.signals import raise_stopped, set_handler, status_of, word_of
+from ompl_ext.cores import ONE_BLAS_THREAD
 from ompl_ext.signals import STOPPING
 
 
@@ -13,6 +18,8 @@ def main() -> int:
     """Run the command line of this process and return its exit code."""
     try:
         set_handler(raise_stopped)
+        for name, count in ONE_BLAS_THREAD.items():  # before numpy is loaded
+            os.environ.setdefault(name, count)
         from kraft_cli.main import main as run
 
         status = run()

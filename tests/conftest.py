@@ -13,6 +13,8 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from support.paths import ROOT, TESTS
 
+from ompl_ext.cores import ONE_BLAS_THREAD
+
 COMPILE = """
 import sys
 from kraft.planning.compilation import compile_for_headings, compile_maps, ensure_compiled
@@ -57,6 +59,7 @@ DRIVES = "test_drive.py", "test_faults.py"  # on the wall clock
 def pytest_configure(config: pytest.Config) -> None:
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # shells do so for jobs in the background
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.environ.update(ONE_BLAS_THREAD)  # as the command `kraft` does
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # a hundred processes of the tests would compile every module
     in_a_worker = hasattr(config, "workerinput")
     if not in_a_worker and config.getoption("numprocesses", None):

@@ -19,6 +19,7 @@ from typing import Final, TypeAlias
 from kraft.errors import Defect, KraftError
 from kraft.evaluation.job import POLL, Job, Log, StopRequested, failed_row, perform
 from kraft.evaluation.journal import Key, TrialRow
+from ompl_ext.cores import ONE_BLAS_THREAD
 from ompl_ext.signals import STOPPING
 
 DEATHS: Final = 2  # workers that die in a trial, after which it has failed
@@ -183,18 +184,7 @@ def _no_signals() -> Iterator[None]:
 Answer: TypeAlias = TrialRow | KraftError | None
 """Message of a worker: a row, an error that concerns every trial, or None when it is ready."""
 
-ONE_THREAD: Final = dict.fromkeys(
-    (
-        "OMP_NUM_THREADS",
-        "OPENBLAS_NUM_THREADS",
-        "MKL_NUM_THREADS",
-        "BLIS_NUM_THREADS",
-        "VECLIB_MAXIMUM_THREADS",
-        "NUMEXPR_NUM_THREADS",
-        "NUMBA_NUM_THREADS",
-    ),
-    "1",
-)
+ONE_THREAD: Final = {**ONE_BLAS_THREAD, "NUMEXPR_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 """Environment variables that restrict numeric libraries to one thread; they are read when a library is loaded."""
 
 

@@ -19,6 +19,7 @@ from kraft.sysid.interface import (
     Settings,
     correlations,
 )
+from kraft.sysid.parallel import in_parallel
 from kraft.sysid.prediction import (
     HORIZONS,
     Window,
@@ -152,11 +153,10 @@ def evaluate_predictions(
     settings = result.predicting(settings)
 
     def pair(logs: tuple[Log, ...]) -> PredictionPair:
-        return PredictionPair(
-            predict_windows(vehicle, logs, result.values, settings),
-            predict_windows(vehicle, logs, {}, settings),
-            constant_windows(vehicle, logs, settings),
+        identified, initial = in_parallel(
+            lambda values: predict_windows(vehicle, logs, values, settings), (result.values, {})
         )
+        return PredictionPair(identified, initial, constant_windows(vehicle, logs, settings))
 
     fitted = pair(log_split.fitted)
     if not log_split.held_out:

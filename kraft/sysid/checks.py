@@ -345,18 +345,24 @@ def _steering(solution: SolvedProblem) -> Iterator[str]:
 
 def _best_correlation(steering: Floats, curvature: Floats, moving: Floats) -> float:
     """Rank correlation, robust to outliers; the largest in magnitude over delays of up to half a second."""
-    from scipy.stats import rankdata  # slow to load; the search of initial values has loaded it
-
     best = 0.0
     for shift in range(0, 11, 2):
         chosen = moving[shift:]
         if chosen.sum() < 2:  # of a short log nothing is left
             break
-        a = rankdata(steering[: len(steering) - shift][chosen])
-        b = rankdata(curvature[shift:][chosen])
+        a = _ranks(steering[: len(steering) - shift][chosen])
+        b = _ranks(curvature[shift:][chosen])
         value = float(np.corrcoef(a, b)[0, 1]) if np.std(a) > 0.0 and np.std(b) > 0.0 else 0.0
         best = value if abs(value) > abs(best) else best
     return best
+
+
+def _ranks(values: Floats) -> Floats:
+    """(n,) ranks, equal ones for equal values."""
+    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
+    last = np.cumsum(counts)
+    ranks: Floats = (last - 0.5 * (counts - 1))[place]
+    return ranks
 
 
 def informative_manoeuvres(parameters: Parameters, *names: str) -> str:

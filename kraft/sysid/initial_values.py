@@ -8,6 +8,7 @@ together, as lanes; the best few are refined.  The search works for any model wh
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,12 +107,10 @@ class InitialSearch:
         return self._refine(candidates[order[:REFINED]], free)
 
     def _candidates(self, free: Bools) -> Matrix:
-        from scipy.stats import qmc  # only identification from logs needs it, and it is slow to load
-
         p = self._parameters
         low, high = p.low[free], p.high[free]
         logarithmic = (low > 0.0) & (high > LOGARITHMIC_RATIO * low)
-        unit = qmc.Halton(len(low), scramble=False).random(CANDIDATES)[1:]
+        unit = _halton(len(low), CANDIDATES)[1:]
         lower = np.where(logarithmic, np.log(np.where(logarithmic, low, 1.0)), low)
         upper = np.where(logarithmic, np.log(np.where(logarithmic, high, 1.0)), high)
         values = lower + unit * (upper - lower)
@@ -178,6 +177,22 @@ class InitialSearch:
     def _turning(self, poses: Floats) -> Floats:
         """Poses (..., 3), with a yaw of 0 if the state has none: its logged yaw is unrelated to its path."""
         return poses if self._pose[2] >= 0 else poses * [1.0, 1.0, 0.0]
+
+
+def _halton(dimensions: int, count: int) -> Matrix:
+    """(count, dimensions) the first points of Halton's sequence in [0, 1): digits of their index, mirrored.
+
+    As `scipy.stats.qmc.Halton` without scrambling, which takes a second to load.
+    """
+    bases = [n for n in range(2, 16 * (dimensions + 1)) if all(n % d for d in range(2, math.isqrt(n) + 1))][:dimensions]
+    found = np.zeros((count, dimensions))
+    for k, base in enumerate(bases):
+        left, share = np.arange(count), 1.0
+        while left.any():
+            share /= base
+            found[:, k] += share * (left % base)
+            left //= base
+    return found
 
 
 def _displacement(before: Floats, after: Floats) -> Floats:

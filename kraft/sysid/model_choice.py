@@ -16,7 +16,9 @@ from kraft.sysid.data import check_any, usable_logs
 from kraft.sysid.identify import identify
 from kraft.sysid.interface import Identification, ModelTrial, Settings
 from kraft.sysid.optimiser import OnIteration, ignore_iteration
+from kraft.sysid.parallel import in_parallel
 from kraft.sysid.prediction import HORIZONS, is_predictable, predict_windows, window_errors
+from kraft.sysid.selection import candidates_of
 from kraft.sysid.smoothing import thinned
 from kraft.sysid.structure_choice import CLEARLY_WORSE
 from kraft.sysid.terms import check_controls, error_of_all_terms, identify_terms
@@ -35,10 +37,12 @@ SCREENING_LOGS: Final = 2
 """Least number of logs that a known model is first fitted to, and number of others that it then predicts."""
 SCREENING_TIME: Final = 60.0
 """Least duration of the logs that it is first fitted to, s."""
+SCREENING_PIECE: Final = 10.0
+"""Length of the pieces of a long log that it is first fitted to, s."""
 SCREENING_FACTOR: Final = 4.0
 """Error of these predictions over that of the car with terms from which a known model is not fitted to all logs."""
-KNOWN_ITERATIONS: Final = 25
-"""Iterations within which a model converges on logs of a car that it describes."""
+KNOWN_ITERATIONS, SCREENING_ITERATIONS = 25, 12
+"""Iterations within which a model converges on logs of a car that it describes, and within which it nearly does."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,9 @@ def identify_car(
         screened = _screened(name, judged[0], logs, settings, on_iteration)
         if screened is not None and screened.score() > SCREENING_FACTOR * judged[0].score(_tests(logs)):
             refused.append(screened)
-        elif (known := _known(name, logs, settings, on_iteration)) is not None and known.identification.converged:
+            continue
+        known = _known(name, logs, replace(settings, iterations=KNOWN_ITERATIONS), on_iteration)
+        if known is not None and known.identification.converged:
             judged.append(_judged(known, logs, settings))
     best = judged[0]
     for other in judged[1:]:
@@ -130,13 +136,35 @@ def _tests(logs: Sequence[Log]) -> list[int]:
 def _screened(
     name: str, car: _Candidate, logs: Sequence[Log], settings: Settings, on_iteration: OnIteration
 ) -> _Candidate | None:
-    """A known model fitted to few logs, and its errors on others; None if there are few, or if it does not fit."""
-    fitted = [logs[k] for k in _fits(logs)]
-    known = _known(name, fitted, settings, on_iteration) if fitted else None
+    """A known model fitted to few logs, and its errors on others; None if there are few, or if it does not fit.
+
+    All of its auxiliary parameters are on: which of them are needed makes little difference to predictions.
+    """
+    first = _fits(logs)
+    fitted = [_sampled(logs[k], SCREENING_TIME / len(first)) for k in first]
+    every = candidates_of(load_base_vehicle(name).vehicle, settings)
+    less = replace(settings, auxiliary=every, iterations=SCREENING_ITERATIONS)
+    known = _known(name, fitted, less, on_iteration) if fitted else None
     if known is None or len(car.errors) != len(logs):
         return None
     identification = replace(known.identification, without_log=())
     return _judged(replace(known, identification=identification), [logs[k] for k in _tests(logs)], settings)
+
+
+def _sampled(log: Log, seconds: float) -> Log:
+    """Pieces of a long log, evenly spread, of `seconds` s together; a shorter log as it is."""
+    share = seconds / max(log.duration, 1e-9)
+    if share >= 1.0:
+        return log
+    pieces = []
+    for part in log.parts:
+        count = max(1, round(share * part.duration / SCREENING_PIECE))
+        apart = part.duration / count
+        for k in range(count):
+            begin = part.pose_times[0] + (k + 0.5 - 0.5 * share) * apart
+            own = slice(*np.searchsorted(part.pose_times, (begin, begin + share * apart)))
+            pieces.append(replace(part, pose_times=part.pose_times[own].copy(), poses=part.poses[own].copy()))
+    return replace(log, parts=tuple(piece for piece in pieces if len(piece.pose_times)))
 
 
 def _with_terms(logs: Sequence[Log], settings: Settings, on_iteration: OnIteration) -> IdentifiedCar:
@@ -182,7 +210,7 @@ def _known(name: str, logs: Sequence[Log], settings: Settings, on_iteration: OnI
         return None
     less = [replace(log, parts=tuple(thinned(part, settings.step) for part in log.parts)) for log in logs]
     try:
-        found = identify(base.definition, less, replace(settings, iterations=KNOWN_ITERATIONS), on_iteration)
+        found = identify(base.definition, less, settings, on_iteration)
     except (InputError, NegativeResult):  # a singular fit: the commands are not in this model's units
         return None
     return IdentifiedCar(base, found)
@@ -192,15 +220,17 @@ def _judged(model: IdentifiedCar, logs: Sequence[Log], settings: Settings) -> _C
     """Errors of each usable log, predicted with the parameters that the others give; NaN of one too short for that."""
     identification = model.identification
     settings = identification.predicting(settings)
-    values, usable = identification.without_log, usable_logs(model.base.vehicle, logs)
-    errors = []
-    for i, log in enumerate(usable):
-        own = values[i] if len(values) == len(usable) else identification.values
+    usable = usable_logs(model.base.vehicle, logs)
+    others = identification.without_log
+    values = others if len(others) == len(usable) else [identification.values] * len(usable)
+
+    def errors(log: Log, own: Mapping[str, float]) -> list[float]:
         found: Mapping[float, float] = {}
         if is_predictable(log, settings):
             found = window_errors(predict_windows(model.base.definition, [log], own, settings)).position
-        errors.append([found.get(after, np.nan) for after in HORIZONS])
-    return _Candidate(model, np.array(errors))
+        return [found.get(after, np.nan) for after in HORIZONS]
+
+    return _Candidate(model, np.array(in_parallel(lambda each: errors(*each), zip(usable, values, strict=True))))
 
 
 def _trial(candidate: _Candidate, *, chosen: bool) -> ModelTrial:

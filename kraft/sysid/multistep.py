@@ -16,17 +16,16 @@ from functools import cached_property
 
 import numpy as np
 
-from kraft.sysid.actuators import ActuatorModel
-from kraft.sysid.chains import Segment, chains_of
-from kraft.sysid.dynamics import DIFFERENCE_STEP
-from kraft.sysid.initial_values import SmoothedPoses, initial_states, smooth_chains
+from kraft.sysid.dynamics import DIFFERENCE_STEP, Dynamics
+from kraft.sysid.initial_values import SmoothedPoses, initial_states
 from kraft.sysid.optimiser import RIDGE, OnIteration, Optimum, RhoFactors, bounded_step, ignore_iteration
 from kraft.sysid.parallel import in_parallel
-from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index, steering_offset
-from kraft.sysid.problem import NoiseModel, Point, Problem, assemble
+from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index
+from kraft.sysid.problem import NoiseModel, ObservationModel, Point, Problem
 from kraft.sysid.smoothing import NEIGHBOURS
-from kraft.sysid.windows import Acting, Variation, Windows, controls_in_parts, places
-from ompl_ext.arrays import Bools, Floats, Ints, Matrix
+from kraft.sysid.window_controls import WindowControls
+from kraft.sysid.windows import Acting, Variation
+from ompl_ext.arrays import Bools, Floats, Matrix
 
 START_NOISE = 3.0
 """Standard deviation of an initial pose from the smoothed one, over the noise of a pose."""
@@ -38,9 +37,6 @@ CONVERGED = 1e-5
 NEARLY_LINEAR = 0.01
 """Relative decrease of the cost by a step up to which derivatives are kept for the next one."""
 DAMPING_INITIAL, DAMPING_MIN, DAMPING_MAX = 1e-3, RIDGE, 1e7
-LEAD, SETTLING = 1.0, 1.0
-"""Time before a window whose commands show components of its initial state that poses do not show, and time for which
-the command before is held, s."""
 VARIATION_MIN = 0.1
 """Least ratio of the estimated variation of a parameter to the one before, and of that to it."""
 MISFIT_FREEDOM = 3.0
@@ -48,8 +44,6 @@ MISFIT_FREEDOM = 3.0
 model does not explain (a start against stiction, a hand on the car) counts little as a whole."""
 CHUNK = 32
 """Number of windows whose derivatives are multiplied at once: they remain in the processor's cache."""
-COMMANDS_KEPT = 8
-"""Number of values of the actuator parameters for which the acting controls are kept."""
 EXPECTED_KEPT = 3
 """Number of points whose expected initial states are kept."""
 
@@ -62,7 +56,7 @@ class MultiStep:
 
     def __init__(
         self,
-        windows: Windows,
+        controls: WindowControls,
         parameters: Parameters,
         noise: NoiseModel,
         growth: Floats,
@@ -71,14 +65,17 @@ class MultiStep:
         """Prepare the problem.
 
         Args:
-            windows: to predict.
+            controls: the windows to predict, and the controls that act in them.
             parameters: of the model, and auxiliary ones.
             noise: of the poses.
             growth: (3,) of the model's error in x, y and yaw, m/s and rad/s.
             variation: of the parameters that vary; windows of a fold are of one drive.
         """
-        self.windows, self.noise = windows, noise
-        self.problem: Problem = assemble(windows.segments, len(windows.segments), parameters, noise)
+        windows = controls.windows
+        self.windows, self.noise, self._controls = windows, noise, controls
+        self.problem = Problem(
+            parameters, controls.chains, controls.actuators, Dynamics(parameters), ObservationModel(parameters), noise
+        )
         since = np.abs(windows.since - windows.known[:, None])[..., None]
         self.sigmas: Floats = np.sqrt(noise.pose_sigmas**2 + (growth * since) ** 2)
         self._nx = self.problem.dynamics.nx
@@ -86,20 +83,12 @@ class MultiStep:
         self.variation = variation
         self._within, self._between = variation.within**-2.0, np.maximum(variation.between, 1e-9) ** -2.0
         self._free = np.flatnonzero(parameters.free)
-        self._commands: dict[bytes, tuple[Acting, Ints, Matrix]] = {}
-        self._commands_before: dict[bytes, Acting] = {}
         self._expected: dict[bytes, Matrix] = {}
-        acts = ("delay", "lag_", "play_", "dead_band_")
-        self._acting = [
-            k for k, name in enumerate(parameters.names) if k >= parameters.model_size and name.startswith(acts)
-        ]
-        if parameters.auxiliary_index("play_steering") >= 0 and (k := steering_offset(parameters)) >= 0:
-            self._acting.append(k)
 
-    @cached_property
+    @property
     def smoothed(self) -> SmoothedPoses:
         """Smoothed poses of the windows at the times of the steps."""
-        return smooth_chains(self.problem.chains)
+        return self._controls.smoothed
 
     @cached_property
     def _observed(self) -> tuple[Matrix, Floats]:
@@ -149,37 +138,11 @@ class MultiStep:
         if self._hidden and alike is not None:
             states[:, self._hidden] = alike[:, self._hidden]
         elif self._hidden:
-            acting = self._controls_before(rho)
+            acting = self._controls.before(rho)
             order, lane = acting.window, acting.lane
             before = self.problem.dynamics.simulate(states[order], acting.controls, rho, acting.h)[-1][lane]
             states[:, self._hidden] = before[:, self._hidden]
         return np.hstack([states, np.zeros((len(states), len(self._varying)))])
-
-    def _controls_before(self, rho: Floats) -> Acting:
-        """Controls before the windows, the first of them held until the state has settled."""
-        key = rho[self._acting].tobytes()
-        if key not in self._commands_before:
-            if len(self._commands_before) >= COMMANDS_KEPT:
-                del self._commands_before[next(iter(self._commands_before))]
-            chains = chains_of(self._leads, len(self._leads))
-            led = controls_in_parts(self._actuators_before, chains, rho, halved=self.windows.halved)
-            settling = round(SETTLING / float(self.windows.h.min()))
-            held = np.repeat(led.controls[:1], settling, axis=0)
-            durations = np.concatenate([np.tile(self.windows.h[led.window], (settling, 1)), led.h])
-            controls = np.concatenate([held, led.controls])
-            self._commands_before[key] = replace(led, controls=controls, h=durations, first=led.first + settling)
-        return self._commands_before[key]
-
-    @cached_property
-    def _leads(self) -> list[Segment]:
-        """The time before each window, in as many steps for each."""
-        steps = math.ceil(LEAD / float(self.windows.h.min()))
-        none = slice(0, 0)
-        return [replace(s, begin=s.begin - steps * s.h, steps=steps, poses=none) for s in self.windows.segments]
-
-    @cached_property
-    def _actuators_before(self) -> ActuatorModel:
-        return ActuatorModel(self._leads, self.problem.parameters)
 
     @cached_property
     def _hidden(self) -> list[int]:
@@ -192,7 +155,7 @@ class MultiStep:
     def _moves_hidden(self) -> Bools:
         """(np,) which components of rho make a difference to what poses do not show."""
         moved = self.problem.dynamics.causes(self._hidden)
-        moved[self._acting] = True
+        moved[self._controls.components] = True
         return moved
 
     def shifted(self, states: Matrix, before: Floats, rho: Floats) -> Matrix:
@@ -220,7 +183,7 @@ class MultiStep:
     def predict(self, start: Matrix, rho: Floats) -> Floats:
         """Poses (W, n, 3) of all windows from their unknowns `start` (W, nx + nv) with rho (np,)."""
         poses = np.empty((*self.windows.since.shape, 3))
-        acting, step, share = self._controls(rho)
+        acting, step, share = self._controls.during(rho)
         states = self._simulated(start, rho, acting)
         self.problem.observation.of_windows(states, acting.lane, step, share, rho, poses)
         return poses
@@ -234,20 +197,10 @@ class MultiStep:
 
     def trajectories(self, point: Point) -> Matrix:
         """States (S, nx) of all windows at their steps."""
-        acting = self._controls(point.rho)[0]
+        acting = self._controls.during(point.rho)[0]
         states, steps = self._simulated(point.states, point.rho, acting), self.problem.chains.steps
         found = np.split(acting.first, np.cumsum(steps)[:-1])
         return np.concatenate([states[np.append(f, -1), i] for f, i in zip(found, acting.lane, strict=True)])
-
-    def _controls(self, rho: Floats) -> tuple[Acting, Ints, Matrix]:
-        """Controls that act in the windows, and `places` of the poses; kept for the last `COMMANDS_KEPT` values."""
-        key = rho[self._acting].tobytes()
-        if key not in self._commands:
-            if len(self._commands) >= COMMANDS_KEPT:
-                del self._commands[next(iter(self._commands))]
-            acting = controls_in_parts(self.problem.actuators, self.problem.chains, rho, halved=self.windows.halved)
-            self._commands[key] = (acting, *places(acting, self.problem.chains, self.windows))
-        return self._commands[key]
 
     def residuals(self, point: Point) -> Floats:
         """(W, n, 3) predicted less observed, 0 where there is no pose."""
@@ -301,9 +254,9 @@ class MultiStep:
         others = [k for k in range(nx) if k not in pose]
         changed = [point.rho + changes * (np.arange(len(changes)) == k) for k in self._free.tolist()]
         for rho in changed:  # kept, so that threads only read
-            self._controls(rho)
+            self._controls.during(rho)
             if self._hidden:
-                self._controls_before(rho)
+                self._controls.before(rho)
         base, known = self.predict(point.states, point.rho), self.prior_states(point.rho)
         self._off = (base - self.windows.poses) * self.windows.seen[..., None]
         self._slopes = np.zeros((nx + len(changed), *base.shape))

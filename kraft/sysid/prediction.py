@@ -36,6 +36,7 @@ from kraft.sysid.parameters import (
 from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, noise_model, simulated, starting_point
 from kraft.sysid.selection import check_settings
 from kraft.sysid.smoothing import begins_at_rest, constant_motion, measured_noise, thinned
+from kraft.sysid.window_controls import WindowControls
 from kraft.sysid.windows import Variation, windows_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Bools, Floats, Matrix
@@ -166,8 +167,8 @@ class Predictor:
         frozen, varying = replace(parameters, frozen=frozenset(parameters.names)), Variation.independent(variation)
         windows = windows_of(segments, seen, fold, known)
         before = windows_of([_history(p) for p in pieces], seen, fold, known)
-        self._windows = MultiStep(windows, frozen, noise, growth, varying)
-        self.graph = MultiStep(before, frozen, noise, growth, varying)
+        self._windows = MultiStep(WindowControls(windows, frozen), frozen, noise, growth, varying)
+        self.graph = MultiStep(WindowControls(before, frozen), frozen, noise, growth, varying)
         self._resting: Bools = known == 0.0
         self._usual: Floats = np.hypot(noise.pose_sigmas, growth * RECENT)
         counts = np.array([len(s.part.pose_times[s.poses]) for s in segments])[:, None]

@@ -43,7 +43,8 @@ from kraft.sysid.problem import NoiseModel, Point, noise_model
 from kraft.sysid.selection import costs_of_terms, is_shown, size_of_term
 from kraft.sysid.smoothing import measured_noise, thinned
 from kraft.sysid.structure_choice import NEGLIGIBLE_LOSS, OFFSETS, Structure, best_of, is_near, may_be_near
-from kraft.sysid.windows import Variation, cut, folds_of, windows_of
+from kraft.sysid.window_controls import WindowControls
+from kraft.sysid.windows import Variation, Windows, cut, folds_of, windows_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
@@ -57,11 +58,13 @@ AUXILIARY: Final = ("delay",)
 FIRST_GROWTH: Final = (0.2, 0.2, 0.3)
 """Growth of the model's error in the first fit: m/s, m/s, rad/s."""
 GROWTH_ROUNDS: Final = 2
-"""Fits after which the growth of the error is estimated again."""
+"""Estimates of the growth of the error, each after a fit."""
 LARGE_SHARE: Final = 0.99
 """Quantile of the squared residuals up to which they count in full for the growth."""
 FIRST_TERMS: Final = ("friction", "lever")
 """Terms in the search for first values."""
+FIRST_WINDOWS: Final = 60
+"""Most windows of the fits that are made to find good first values and weights."""
 FIRST_ITERATIONS, FIRST_CONVERGED = 20, 1e-3
 """Most iterations of a fit whose weights are not final, and the relative decrease of its cost below which it ends."""
 VARIATION_ROUNDS, VARIATION_CHANGE = 3, 0.3
@@ -123,6 +126,7 @@ class StructureSearch:
         self.windows = replace(windows, halved=window is not None)  # errors of steps add up in long windows
         self._pieces = pieces_of(logs, settings, settings.horizon)
         self._predictors: dict[int, Predictor] = {}
+        self._controls: dict[Windows, WindowControls] = {}
 
     def parameters(self, terms: Sequence[str]) -> Parameters:
         """Parameters with the given terms on, and the others at their neutral value and frozen."""
@@ -153,24 +157,33 @@ class StructureSearch:
             return frozenset({"brake", "reverse"})
         return frozenset() if reverses(self._logs) else frozenset({"reverse"})
 
-    def graph(self, terms: Sequence[str]) -> MultiStep:
-        """The multi-step problem with some terms on."""
-        return MultiStep(self.windows, self.parameters(terms), self.noise, self.growth, self.variation)
+    def graph(self, terms: Sequence[str], windows: Windows | None = None) -> MultiStep:
+        """The multi-step problem with some terms on, of all windows by default."""
+        windows, parameters = windows or self.windows, self.parameters(terms)
+        if windows not in self._controls:
+            self._controls[windows] = WindowControls(windows, parameters)
+        return MultiStep(self._controls[windows], parameters, self.noise, self.growth, self.variation)
 
     def full(self) -> Structure:
         """Fit of all terms, from the best of several first values."""
-        graph = self.graph(self.candidates)
+        some = self.windows.some(FIRST_WINDOWS)
+        graph = self.graph(self.candidates, some)
         firsts = self._first_values(graph)
         fits = [self._optimise(graph, graph.start(rho), FIRST_ITERATIONS, FIRST_CONVERGED) for rho in firsts]
         optimum = min(fits, key=lambda found: found.cost)
-        for made in range(GROWTH_ROUNDS):
-            self.growth = _error_growth(graph, optimum.point)
-            self.variation = graph.found_variation(optimum.point.states)
-            graph = self.graph(self.candidates)
-            final = made == GROWTH_ROUNDS - 1
-            tolerance = CONVERGED if final else FIRST_CONVERGED
-            optimum = self._optimise(graph, optimum.point, FIRST_ITERATIONS, tolerance)
-        return self._judged(self.candidates, graph, optimum)
+        for _ in range(GROWTH_ROUNDS - 1):
+            self._weigh_anew(graph, optimum)
+            graph = self.graph(self.candidates, some)
+            optimum = self._optimise(graph, optimum.point, FIRST_ITERATIONS, FIRST_CONVERGED)
+        self._weigh_anew(graph, optimum)
+        graph = self.graph(self.candidates)
+        start = optimum.point if some is self.windows else graph.start(optimum.point.rho)
+        return self._judged(self.candidates, graph, self._optimise(graph, start, FIRST_ITERATIONS))
+
+    def _weigh_anew(self, graph: MultiStep, optimum: Optimum) -> None:
+        """Estimate the growth of the model's error and the variation of parameters from a fit."""
+        self.growth = _error_growth(graph, optimum.point)
+        self.variation = graph.found_variation(optimum.point.states)
 
     def _first_values(self, graph: MultiStep) -> list[Floats]:
         """First values of rho: the nominal ones with the signs that fit best, and a search with few terms on."""
@@ -184,7 +197,7 @@ class StructureSearch:
         if known:
             regressed = [[v.get(name, value) for name, value in zip(p.names, nominal, strict=True)] for v in known]
             return [p.within_bounds(np.where(p.free, rho, p.nominal)) for rho in regressed]
-        few = self.graph(FIRST_TERMS)
+        few = self.graph(FIRST_TERMS, graph.windows)
         q, problem = few.problem.parameters, few.problem
         search = InitialSearch(
             q, problem.dynamics.discrete_model, problem.chains, few.smoothed, problem.actuators.mean(q.nominal)[0]

@@ -43,6 +43,8 @@ GRIP_QUANTILE, GRIP_SHARE = 0.99, 0.7
 """Quantile of the lateral accelerations that counts as high, and share of it from which on tyres may slide."""
 ROUNDS: Final = 12
 """Iterations of the robust regressions."""
+INDEPENDENT: Final = 1e-8
+"""Least share of the largest singular value from which on terms count as independent of the others."""
 MARGIN: Final = 0.25
 """Time that is left out before and after an unexplained stretch, s."""
 JOINED: Final = 0.6
@@ -196,15 +198,23 @@ def _side_terms(m: Motion) -> Matrix:
 def _residuals(terms: Sequence[Matrix], values: Sequence[Floats]) -> list[Floats]:
     """What a robust regression (Cauchy loss) leaves of the values, part by part."""
     x, y = np.concatenate(terms), np.concatenate(values)
-    x = x / (np.sqrt(np.mean(x**2, axis=0)) + 1e-12)
+    basis = _orthonormal(x / (np.sqrt(np.mean(x**2, axis=0)) + 1e-12))
     weight = np.ones(len(y))
     left = y
     for _ in range(ROUNDS):
-        root = np.sqrt(weight)
-        left = y - x @ np.linalg.lstsq(x * root[:, None], y * root, rcond=1e-8)[0]
+        weighted = (basis * weight[:, None]).T
+        left = y - basis @ np.linalg.lstsq(weighted @ basis, weighted @ y, rcond=None)[0]
         scale = MAD * float(np.median(np.abs(left))) + 1e-9
         weight = 1.0 / (1.0 + (left / (2.0 * scale)) ** 2)
     return list(np.split(left, np.cumsum([len(v) for v in values])[:-1]))
+
+
+def _orthonormal(x: Matrix) -> Matrix:
+    """Basis (n, rank) of the columns of x (n, k), so that normal equations in it are as exact as x itself."""
+    q, r = np.linalg.qr(x)
+    turned, size, _ = np.linalg.svd(r)
+    basis: Matrix = q @ turned[:, size > INDEPENDENT * size[0]]
+    return basis
 
 
 def _averaged(values: Floats) -> Floats:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -62,6 +62,21 @@ class Windows:
     def folds(self) -> int:
         """Number of folds."""
         return int(self.fold.max()) + 1
+
+    def some(self, most: int) -> Windows:
+        """At most `most` of the windows, evenly spread over the logs, in folds of their own."""
+        count = len(self.segments)
+        if count <= most:
+            return self
+        chosen = np.round(np.linspace(0, count - 1, most)).astype(np.int64)
+        names = ("h", "poses", "seen", "since", "step", "share", "known")
+        return replace(
+            self,
+            segments=tuple(self.segments[k] for k in chosen),
+            fold=np.unique(self.fold[chosen], return_inverse=True)[1].astype(np.int64),
+            first=SmoothedPoses(self.first.poses[chosen], self.first.rates[chosen]),
+            **{name: getattr(self, name)[chosen] for name in names},
+        )
 
 
 def windows_of(segments: Sequence[Segment], parts: Sequence[Part], fold: Ints, known: Floats | None = None) -> Windows:

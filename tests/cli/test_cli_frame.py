@@ -30,6 +30,7 @@ from kraft_cli.exit_status import ExitStatus
 from kraft_cli.main import main
 from kraft_cli.signals import Stopped
 from kraft_cli.terminal import Terminal
+from ompl_ext.cores import ONE_BLAS_THREAD
 
 
 def ended_with(error: BaseException, *, traceback: bool = False) -> tuple[ExitStatus, str]:
@@ -200,6 +201,23 @@ def test_light_commands_do_not_load_heavy_packages() -> None:
     )
     done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(("given", "threads"), [({}, 1), ({"OPENBLAS_NUM_THREADS": "2"}, 2)])
+def test_linear_algebra_works_in_one_thread_unless_the_environment_says_otherwise(
+    given: dict[str, str], threads: int
+) -> None:
+    script = (
+        "import os, sys; sys.argv = ['kraft', '--version']\n"
+        "from kraft_cli.entry import main; main()\n"
+        "assert 'numpy' not in sys.modules\n"
+        "print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    environment = {k: v for k, v in os.environ.items() if k not in ONE_BLAS_THREAD} | given
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split()[-1] == str(threads)
 
 
 def test_the_version_is_that_of_the_project() -> None:
