@@ -175,15 +175,18 @@ def _sandwich(gradient: Matrix, row: Floats) -> float:
 
 def costs_of_terms(p: Parameters, optimum: Optimum, terms: Iterable[str]) -> dict[str, float]:
     """Increase of the linearised cost by switching off each term."""
+    return {name: cost_of_terms(p, optimum, [name]) for name in terms}
+
+
+def cost_of_terms(p: Parameters, optimum: Optimum, terms: Iterable[str]) -> float:
+    """Increase of the linearised cost by switching off some terms together."""
     factors, rho = optimum.factors, optimum.point.rho
     total, held = factors.total_information, held_at_bounds(factors, p.low - rho, p.high - rho)
-    cost = {}
-    for name in terms:
-        k = p.index(name)
-        others = p.free & ~held & (np.arange(len(rho)) != k)
-        follow = np.linalg.lstsq(total[np.ix_(others, others)], total[others, k], rcond=None)[0]
-        cost[name] = float(0.5 * (total[k, k] - total[k, others] @ follow) * (_neutral(p, k) - rho[k]) ** 2)
-    return cost
+    off = np.array([p.index(name) for name in terms])
+    others = p.free & ~held & ~np.isin(np.arange(len(rho)), off)
+    follow = np.linalg.lstsq(total[np.ix_(others, others)], total[np.ix_(others, off)], rcond=None)[0]
+    change = np.array([_neutral(p, k) for k in off]) - rho[off]
+    return float(0.5 * change @ (total[np.ix_(off, off)] - total[np.ix_(off, others)] @ follow) @ change)
 
 
 def _neutral(p: Parameters, k: int) -> float:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -40,11 +41,11 @@ from kraft.sysid.parallel import in_parallel
 from kraft.sysid.parameters import Parameters, parameters_of, variation_of, vehicle_of
 from kraft.sysid.prediction import Piece, Predictor, pieces_of
 from kraft.sysid.problem import NoiseModel, Point, noise_model
-from kraft.sysid.selection import costs_of_terms, is_shown, size_of_term
+from kraft.sysid.selection import cost_of_terms, costs_of_terms, is_shown, size_of_term
 from kraft.sysid.smoothing import measured_noise, thinned
 from kraft.sysid.structure_choice import NEGLIGIBLE_LOSS, OFFSETS, Structure, best_of, is_near, may_be_near
 from kraft.sysid.window_controls import WindowControls
-from kraft.sysid.windows import Variation, Windows, cut, folds_of, windows_of
+from kraft.sysid.windows import Variation, Windows, cut, evenly, folds_of, windows_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
@@ -65,12 +66,17 @@ FIRST_TERMS: Final = ("friction", "lever")
 """Terms in the search for first values."""
 FIRST_WINDOWS: Final = 60
 """Most windows of the fits that are made to find good first values and weights."""
+SEARCHED_WINDOWS: Final = 120
+"""Most windows to which structures are fitted and on whose predictions they are judged, evenly spread over the logs: of
+more, the last fit alone is made."""
 FIRST_ITERATIONS, FIRST_CONVERGED = 20, 1e-3
 """Most iterations of a fit whose weights are not final, and the relative decrease of its cost below which it ends."""
 VARIATION_ROUNDS, VARIATION_CHANGE = 3, 0.3
 """Most estimates of the variation with the chosen terms, and the relative change below which one is the last."""
 WORSE_MAX: Final = 3
 """Structures in a row that are clearly worse than the best, after which the search ends."""
+NO_DIFFERENCE: Final = 1.0
+"""Most increase of the cost by terms that are switched off together: less than any term needs to be shown."""
 PATH_COST: Final = 2.0
 """Most by which the cost of a term may be larger than its increase on the path, whose fits are not at their ends."""
 SIZE_MIN: Final = 0.15
@@ -101,8 +107,12 @@ class StructureSearch:
         settings: Settings,
         on_iteration: OnIteration,
         window: float | None = None,
+        most: int = SEARCHED_WINDOWS,
     ) -> None:
-        """Cut the logs into windows of the horizon, or of about `window` s, and measure the noise of the poses."""
+        """Cut the logs into windows of the horizon, or of about `window` s, and measure the noise of the poses.
+
+        At most `most` of the windows are used.
+        """
         self.vehicle, self.settings = vehicle, settings
         chosen = settings.auxiliary
         self.auxiliary = chosen if isinstance(chosen, tuple) else () if chosen == "none" else AUXILIARY
@@ -123,8 +133,12 @@ class StructureSearch:
         stated = variation_of(self.parameters(()), settings)
         self.variation = Variation.of(tuple(stated), np.array(list(stated.values())))
         windows = windows_of(segments, [part for _, part in found], folds_of(segments, len(logs)))
-        self.windows = replace(windows, halved=window is not None)  # errors of steps add up in long windows
-        self._pieces = pieces_of(logs, settings, settings.horizon)
+        windows = replace(windows, halved=window is not None)  # errors of steps add up in long windows
+        self.windows, self._folds, self._window = windows.some(most), windows.folds, window
+        self._is_sample = len(self.windows.segments) < len(segments)
+        fitted = {s.log for s in self.windows.segments}
+        pieces = pieces_of(logs, settings, settings.horizon)
+        self._pieces = evenly([piece for piece in pieces if piece.segment.log in fitted], SEARCHED_WINDOWS)
         self._predictors: dict[int, Predictor] = {}
         self._controls: dict[Windows, WindowControls] = {}
 
@@ -152,7 +166,7 @@ class StructureSearch:
         if "throttle" not in self.model.controls:
             return frozenset()
         k = list(self.model.controls).index("throttle")
-        low = min(float(s.part.commands[:, k].min()) for s in self.windows.segments)
+        low = min(float(part.commands[:, k].min()) for log in self._logs for part in log.parts)
         if low >= 0.0:
             return frozenset({"brake", "reverse"})
         return frozenset() if reverses(self._logs) else frozenset({"reverse"})
@@ -262,18 +276,35 @@ class StructureSearch:
         """
         if not self.is_exact(structure):
             return structure, self
-        longer = StructureSearch(self.vehicle, self._logs, self.settings, self._on_iteration, LONG_WINDOW)
-        longer.growth, longer.variation, longer.iterations = self.growth, self.variation, self.iterations
-        if longer.windows.folds != self.windows.folds:
+        longer = self._in_windows(LONG_WINDOW, SEARCHED_WINDOWS)
+        if longer._folds != self._folds or longer.windows.folds != self.windows.folds:
             return structure, self
-        graph = longer.graph(structure.terms)
-        begin = graph.start(structure.optimum.point.rho)
-        found = longer.converged(longer._judged(structure.terms, graph, longer._optimise(graph, begin)))
+        found = longer._again(structure)
         if not longer.is_exact(found):
             return structure, self
-        found = replace(found, without=structure.without, added=structure.added)
         found = longer.pruned(longer._extended(found, path))
         return (found, longer) if is_near(found, structure, NEGLIGIBLE_LOSS) else (structure, self)
+
+    def in_all_windows(self, structure: Structure) -> tuple[Structure, StructureSearch]:
+        """The structure fitted to all windows to the end, and the search in these; this one if it has them all."""
+        if not self._is_sample:  # the last fit, after a term was switched off, may have had few iterations
+            found = structure if structure.optimum.converged else self.converged(structure)
+            return replace(found, added=structure.added), self
+        whole = self._in_windows(self._window, sys.maxsize)
+        return whole._again(structure), whole
+
+    def _in_windows(self, length: float | None, most: int) -> StructureSearch:
+        """The search in other windows of the same logs."""
+        other = StructureSearch(self.vehicle, self._logs, self.settings, self._on_iteration, length, most)
+        other.growth, other.variation, other.iterations = self.growth, self.variation, self.iterations
+        return other
+
+    def _again(self, structure: Structure) -> Structure:
+        """A structure of a search in other windows, fitted in these to the end."""
+        graph = self.graph(structure.terms)
+        optimum = self._optimise(graph, graph.start(structure.optimum.point.rho))
+        found = self.converged(self._judged(structure.terms, graph, optimum))
+        return replace(found, without=structure.without, added=structure.added)
 
     def _extended(self, structure: Structure, path: Sequence[Structure]) -> Structure:
         """The structure with those of the other terms on that the likelihood shows, those of large gain first."""
@@ -383,8 +414,8 @@ class StructureSearch:
     def path(self, every: Structure | None = None) -> list[Structure]:
         """Structures from all terms (`every`, fitted here if left out) to few, each without the term that costs least.
 
-        Terms that the first fit left at their neutral value are switched off together.  The path ends where several
-        structures in a row predict worse than the best.
+        Terms that the first fit left at their neutral value are switched off together, and so are those that make next
+        to no difference even together.  The path ends where several structures in a row predict worse than the best.
         """
         found = [every or self.full()]
         p, rho = found[0].graph.problem.parameters, found[0].optimum.point.rho
@@ -393,9 +424,21 @@ class StructureSearch:
         if idle:
             found.append(self.without(found[0], *idle))
         while found[-1].terms and not self._too_few(found):
-            costs = _linearised_costs(found[-1])
-            found.append(self.without(found[-1], min(costs, key=lambda name: costs[name])))
+            found.append(self._less(found[-1]))
         return found
+
+    def _less(self, structure: Structure) -> Structure:
+        """The structure without the term that costs least, or without all that cost next to nothing together."""
+        p, optimum = structure.graph.problem.parameters, structure.optimum
+        costs = _linearised_costs(structure)
+        cheapest, several = sorted(costs, key=lambda name: costs[name]), 1
+        while several < len(costs) and cost_of_terms(p, optimum, cheapest[: several + 1]) <= NO_DIFFERENCE:
+            several += 1
+        if several > 1:
+            less = self.without(structure, *cheapest[:several])
+            if less.optimum.cost - optimum.cost <= NO_DIFFERENCE:
+                return less
+        return self.without(structure, cheapest[0])
 
     @staticmethod
     def _too_few(path: Sequence[Structure]) -> bool:

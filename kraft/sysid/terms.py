@@ -85,8 +85,10 @@ def identify_terms(
         vehicle = vehicle if taken.best is found.best else simpler
         found = taken
         found.final.iterations = max(found.final.iterations, own.iterations)
-    identification = _identified(found.best, found.final, usable, settings)
-    rows = tuple(_trial(s, chosen=s is found.best, horizon=settings.horizon) for s in found.trials)
+    best, final = found.final.in_all_windows(found.best)
+    identification = _identified(best, final, usable, settings)
+    trials = [best if s is found.best else s for s in found.trials]
+    rows = tuple(_trial(s, chosen=s is best, horizon=settings.horizon) for s in trials)
     notes = [f"not identified, because only turns to both sides show them: {', '.join(held)}"] if held else []
     notes += _wheelbase_note(identification, settings)
     return ModelChoice(vehicle, replace(identification, trials=rows, notes=(*identification.notes, *notes)))
@@ -133,8 +135,6 @@ def searched(search: StructureSearch, every: Structure | None = None) -> Searche
     best = search.completed(simplest, path)
     best = search.pruned(best) if search.is_exact(best) else best
     best, final = search.in_long_windows(best, path)
-    if not best.optimum.converged:  # the last fit, after a term was switched off, had few iterations
-        best = replace(final.converged(best), added=best.added)
     trials = [simplest if s.terms == simplest.terms else s for s in path]
     return Searched(best, final, path, trials + ([] if best is simplest else [best]))
 

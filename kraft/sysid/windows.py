@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,8 @@ from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 if TYPE_CHECKING:
     from kraft.logs.log import Part
 
+
+Item = TypeVar("Item")
 
 WINDOW_MIN: Final = 0.5
 """Least length of a window, s."""
@@ -65,10 +67,9 @@ class Windows:
 
     def some(self, most: int) -> Windows:
         """At most `most` of the windows, evenly spread over the logs, in folds of their own."""
-        count = len(self.segments)
-        if count <= most:
+        chosen = np.array(evenly(range(len(self.segments)), most))
+        if len(chosen) == len(self.segments):
             return self
-        chosen = np.round(np.linspace(0, count - 1, most)).astype(np.int64)
         names = ("h", "poses", "seen", "since", "step", "share", "known")
         return replace(
             self,
@@ -179,6 +180,13 @@ def places(acting: Acting, chains: Chains, windows: Windows) -> tuple[Ints, Matr
     part = begin + late
     since -= np.where(late, acting.h[begin, lane], 0.0)
     return part, np.minimum(since / acting.h[part, lane], 1.0)
+
+
+def evenly(items: Sequence[Item], most: int) -> list[Item]:
+    """At most `most` of the items, evenly spread."""
+    if len(items) <= most:
+        return list(items)
+    return [items[k] for k in np.round(np.linspace(0, len(items) - 1, most)).astype(int).tolist()]
 
 
 WITHIN_SHARE: Final = 0.05
