@@ -192,7 +192,7 @@ class DiscreteModel:
         `h` is (m,) or (steps, m), s.
         """
         states = np.empty((len(u) + 1, *start.shape))
-        steps = np.array(np.broadcast_to(h, u.shape[:2]), order="C")
+        steps = np.ascontiguousarray(h) if h.ndim == 2 else np.tile(h, (len(u), 1))
         self._kernels.simulate(start, u, p, steps, True, self._block(), states)
         return states
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -83,13 +84,24 @@ def reverses(logs: Sequence[Log]) -> bool:
 
 def motion(log: int, part: Part, columns: Sequence[int]) -> Motion:
     """Motion of one part; `columns` are those of its commands."""
-    less = thinned(part, POSE_INTERVAL)
-    times = np.arange(part.pose_times[0], part.pose_times[-1], STEP)
-    poses, rates = smoothed(less.pose_times, less.poses, times)
+    times, poses, rates = _smoothed(part)
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     ordered = replace(part, commands=part.commands[:, list(columns)])
     speed, side = rates[:, 0] * c + rates[:, 1] * s, rates[:, 1] * c - rates[:, 0] * s
     return Motion(log, times, speed, side, rates[:, 2], poses[:, 2], ordered)
+
+
+_SMOOTHED: WeakKeyDictionary[Part, tuple[Floats, Matrix, Matrix]] = WeakKeyDictionary()
+
+
+def _smoothed(part: Part) -> tuple[Floats, Matrix, Matrix]:
+    """Times (n,) of the samples, poses and rates (n, 3) then; kept as long as the part, since every check asks."""
+    found = _SMOOTHED.get(part)
+    if found is None:
+        less = thinned(part, POSE_INTERVAL)
+        times = np.arange(part.pose_times[0], part.pose_times[-1], STEP)
+        found = _SMOOTHED[part] = (times, *smoothed(less.pose_times, less.poses, times))
+    return found
 
 
 def sums_of(values: Floats, count: int) -> Floats:

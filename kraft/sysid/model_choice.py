@@ -16,7 +16,7 @@ from kraft.sysid.data import check_any, usable_logs
 from kraft.sysid.identify import identify
 from kraft.sysid.interface import Identification, ModelTrial, Settings
 from kraft.sysid.optimiser import OnIteration, ignore_iteration
-from kraft.sysid.parallel import in_parallel
+from kraft.sysid.parallel import begin, in_parallel
 from kraft.sysid.prediction import HORIZONS, is_predictable, predict_windows, window_errors
 from kraft.sysid.selection import candidates_of
 from kraft.sysid.smoothing import thinned
@@ -92,14 +92,15 @@ def identify_car(
     check_any(logs)
     check_controls(logs, SteeringInMotion.of(logs))
     on_model(CARS[0])
+    screening = begin(lambda names: [_screened(name, logs, settings) for name in names], KNOWN)
     car = _with_terms(logs, settings, on_iteration)
     judged, refused = [_judged(car, logs, settings)], []
-    for name in KNOWN:
-        on_model(name)
-        screened = _screened(name, judged[0], logs, settings, on_iteration)
-        if screened is not None and screened.score() > SCREENING_FACTOR * judged[0].score(_tests(logs)):
+    comparable = len(judged[0].errors) == len(logs)  # else the car has no errors of the logs that tell
+    for name, screened in zip(KNOWN, screening.result(), strict=True):
+        if comparable and screened is not None and screened.score() > SCREENING_FACTOR * judged[0].score(_tests(logs)):
             refused.append(screened)
             continue
+        on_model(name)
         known = _known(name, logs, replace(settings, iterations=KNOWN_ITERATIONS), on_iteration)
         if known is not None and known.identification.converged:
             judged.append(_judged(known, logs, settings))
@@ -133,9 +134,7 @@ def _tests(logs: Sequence[Log]) -> list[int]:
     return _by_variety(logs)[first : first + SCREENING_LOGS]
 
 
-def _screened(
-    name: str, car: _Candidate, logs: Sequence[Log], settings: Settings, on_iteration: OnIteration
-) -> _Candidate | None:
+def _screened(name: str, logs: Sequence[Log], settings: Settings) -> _Candidate | None:
     """A known model fitted to few logs, and its errors on others; None if there are few, or if it does not fit.
 
     All of its auxiliary parameters are on: which of them are needed makes little difference to predictions.
@@ -144,8 +143,8 @@ def _screened(
     fitted = [_sampled(logs[k], SCREENING_TIME / len(first)) for k in first]
     every = candidates_of(load_base_vehicle(name).vehicle, settings)
     less = replace(settings, auxiliary=every, iterations=SCREENING_ITERATIONS)
-    known = _known(name, fitted, less, on_iteration) if fitted else None
-    if known is None or len(car.errors) != len(logs):
+    known = _known(name, fitted, less, ignore_iteration) if fitted else None
+    if known is None:
         return None
     identification = replace(known.identification, without_log=())
     return _judged(replace(known, identification=identification), [logs[k] for k in _tests(logs)], settings)

@@ -190,10 +190,12 @@ class MultiStep:
 
     def _simulated(self, start: Matrix, rho: Floats, acting: Acting) -> Floats:
         """States (parts + 1, W, nx) of all windows, by lane, from their unknowns (W, nx + nv)."""
-        values = np.tile(self.problem.parameters.model_values(rho), (len(start), 1))
-        values[:, self._varying] += start[:, self._nx :]
-        states = np.ascontiguousarray(start[acting.window, : self._nx])
-        return self.problem.dynamics.simulate(states, acting.controls, rho, acting.h, values[acting.window])
+        model = self.problem.parameters.model_values(rho)
+        values, by_lane = np.empty((len(start), len(model))), start[acting.window]
+        values[:] = model
+        values[:, self._varying] += by_lane[:, self._nx :]
+        states = np.ascontiguousarray(by_lane[:, : self._nx])
+        return self.problem.dynamics.simulate(states, acting.controls, rho, acting.h, values)
 
     def trajectories(self, point: Point) -> Matrix:
         """States (S, nx) of all windows at their steps."""

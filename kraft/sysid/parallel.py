@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from typing import TypeVar
 
@@ -20,11 +20,18 @@ def in_parallel(function: Callable[[Item], Found], items: Iterable[Item]) -> lis
     if getattr(_thread, "working", False):
         return [function(item) for item in items]
 
-    def work(item: Item) -> Found:
-        _thread.working = True
-        return function(item)
+    return list(_pool().map(lambda item: _alone(function, item), items))
 
-    return list(_pool().map(work, items))
+
+def begin(function: Callable[[Item], Found], item: Item) -> Future[Found]:
+    """Begin a function of an item on one core, beside what follows."""
+    return _pool().submit(_alone, function, item)
+
+
+def _alone(function: Callable[[Item], Found], item: Item) -> Found:
+    """Result of a function that uses no other core."""
+    _thread.working = True
+    return function(item)
 
 
 _thread = threading.local()

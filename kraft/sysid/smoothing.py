@@ -124,14 +124,16 @@ def _parabolas(since: Matrix, z: Floats) -> tuple[Matrix, Matrix]:
     middle = np.median(z, axis=1)[:, None]
     spread = np.median(np.abs(z - middle), axis=1)[:, None] + 1e-3
     robust = np.abs(z - middle) < 6.0 * spread  # initial classification of outliers
-    basis = np.stack([np.ones_like(tau), tau, tau**2], axis=2)  # (k, m, 3)
+    powers = np.stack([tau**n for n in range(5)], axis=1)  # (k, 5, m)
+    degree = np.add.outer(np.arange(3), np.arange(3))
     coefficients = np.zeros((len(z), 3, 3))
     for _ in range(3):
         w = weight * robust
-        normal = np.einsum("kma,kmb,kmc->kcab", basis, basis, w) + 1e-6 * np.eye(3)
-        right = np.einsum("kma,kmc,kmc->kca", basis, w, z - middle)
+        moments = np.swapaxes(powers @ w, 1, 2)  # (k, component, 5)
+        right = np.swapaxes(powers[:, :3] @ (w * (z - middle)), 1, 2)
+        normal = moments[..., degree] + 1e-6 * np.eye(3)
         coefficients = np.linalg.solve(normal, right[..., None])[..., 0]  # (k, component, 3)
-        residual = np.abs(z - middle - np.einsum("kma,kca->kmc", basis, coefficients))
+        residual = np.abs(z - middle - np.swapaxes(coefficients @ powers[:, :3], 1, 2))
         limit = 4.0 * MAD * np.median(residual, axis=1)[:, None] + 1e-4
         robust = residual < limit
     return middle[:, 0] + coefficients[:, :, 0], coefficients[:, :, 1] / scale

@@ -66,7 +66,7 @@ FIRST_TERMS: Final = ("friction", "lever")
 """Terms in the search for first values."""
 FIRST_WINDOWS: Final = 60
 """Most windows of the fits that are made to find good first values and weights."""
-SEARCHED_WINDOWS: Final = 120
+SEARCHED_WINDOWS: Final = 100
 """Most windows to which structures are fitted and on whose predictions they are judged, evenly spread over the logs: of
 more, the last fit alone is made."""
 FIRST_ITERATIONS, FIRST_CONVERGED = 20, 1e-3
@@ -254,14 +254,18 @@ class StructureSearch:
 
         The first estimate was made with terms that are off now; too large a variation makes predictions follow noise.
         """
-        graph, optimum = structure.graph, self._optimise(structure.graph, structure.optimum.point)
+        graph, terms = structure.graph, structure.terms
+        return replace(self._converged(terms, graph, structure.optimum.point), without=structure.without)
+
+    def _converged(self, terms: tuple[str, ...], graph: MultiStep, start: Point) -> Structure:
+        optimum = self._optimise(graph, start)
         for _ in range(VARIATION_ROUNDS):
             before, self.variation = self.variation, graph.found_variation(optimum.point.states)
-            graph = self.graph(structure.terms)
+            graph = self.graph(terms)
             optimum = self._optimise(graph, optimum.point)
             if np.allclose(self.variation.between, before.between, rtol=VARIATION_CHANGE):
                 break
-        return replace(self._judged(structure.terms, graph, optimum), without=structure.without)
+        return self._judged(terms, graph, optimum)
 
     def is_exact(self, structure: Structure) -> bool:
         """Whether the model's error stays below the noise of the poses over the longest window."""
@@ -302,8 +306,7 @@ class StructureSearch:
     def _again(self, structure: Structure) -> Structure:
         """A structure of a search in other windows, fitted in these to the end."""
         graph = self.graph(structure.terms)
-        optimum = self._optimise(graph, graph.start(structure.optimum.point.rho))
-        found = self.converged(self._judged(structure.terms, graph, optimum))
+        found = self._converged(structure.terms, graph, graph.start(structure.optimum.point.rho))
         return replace(found, without=structure.without, added=structure.added)
 
     def _extended(self, structure: Structure, path: Sequence[Structure]) -> Structure:

@@ -152,13 +152,13 @@ def _residuals_of(
     full = max(float(np.abs(u).max()) for u in commands)
     prompt = [terms(m, u) for m, u in zip(found, commands, strict=True)]
     at_once = _residuals(prompt, values)
-    least, best = SLOW * _square(at_once), at_once
-    for sweep in SWEEPS:
+
+    def slow(sweep: float) -> list[Floats]:
         gradual = [terms(m, _followed(u, full * STEP / sweep)) for m, u in zip(found, commands, strict=True)]
-        slow = _residuals([np.column_stack(both) for both in zip(prompt, gradual, strict=True)], values)
-        if _square(slow) < least:
-            least, best = _square(slow), slow
-    return best
+        return _residuals([np.column_stack(both) for both in zip(prompt, gradual, strict=True)], values)
+
+    best = min((slow(sweep) for sweep in SWEEPS), key=_square)
+    return best if _square(best) < SLOW * _square(at_once) else at_once
 
 
 def _square(residuals: Sequence[Floats]) -> float:
