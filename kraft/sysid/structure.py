@@ -45,7 +45,7 @@ from kraft.sysid.selection import cost_of_terms, costs_of_terms, is_shown, size_
 from kraft.sysid.smoothing import measured_noise, thinned
 from kraft.sysid.structure_choice import NEGLIGIBLE_LOSS, OFFSETS, Structure, best_of, is_near, may_be_near
 from kraft.sysid.window_controls import WindowControls
-from kraft.sysid.windows import Variation, Windows, cut, evenly, folds_of, windows_of
+from kraft.sysid.windows import Variation, cut, evenly, folds_of, windows_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
@@ -59,13 +59,11 @@ AUXILIARY: Final = ("delay",)
 FIRST_GROWTH: Final = (0.2, 0.2, 0.3)
 """Growth of the model's error in the first fit: m/s, m/s, rad/s."""
 GROWTH_ROUNDS: Final = 2
-"""Estimates of the growth of the error, each after a fit."""
+"""Fits after which the growth of the error is estimated again."""
 LARGE_SHARE: Final = 0.99
 """Quantile of the squared residuals up to which they count in full for the growth."""
 FIRST_TERMS: Final = ("friction", "lever")
 """Terms in the search for first values."""
-FIRST_WINDOWS: Final = 60
-"""Most windows of the fits that are made to find good first values and weights."""
 SEARCHED_WINDOWS: Final = 100
 """Most windows to which structures are fitted and on whose predictions they are judged, evenly spread over the logs: of
 more, the last fit alone is made."""
@@ -140,7 +138,7 @@ class StructureSearch:
         pieces = pieces_of(logs, settings, settings.horizon)
         self._pieces = evenly([piece for piece in pieces if piece.segment.log in fitted], SEARCHED_WINDOWS)
         self._predictors: dict[int, Predictor] = {}
-        self._controls: dict[Windows, WindowControls] = {}
+        self._controls = WindowControls(self.windows, self.parameters(()))
 
     def parameters(self, terms: Sequence[str]) -> Parameters:
         """Parameters with the given terms on, and the others at their neutral value and frozen."""
@@ -171,33 +169,24 @@ class StructureSearch:
             return frozenset({"brake", "reverse"})
         return frozenset() if reverses(self._logs) else frozenset({"reverse"})
 
-    def graph(self, terms: Sequence[str], windows: Windows | None = None) -> MultiStep:
-        """The multi-step problem with some terms on, of all windows by default."""
-        windows, parameters = windows or self.windows, self.parameters(terms)
-        if windows not in self._controls:
-            self._controls[windows] = WindowControls(windows, parameters)
-        return MultiStep(self._controls[windows], parameters, self.noise, self.growth, self.variation)
+    def graph(self, terms: Sequence[str]) -> MultiStep:
+        """The multi-step problem with some terms on."""
+        return MultiStep(self._controls, self.parameters(terms), self.noise, self.growth, self.variation)
 
     def full(self) -> Structure:
         """Fit of all terms, from the best of several first values."""
-        some = self.windows.some(FIRST_WINDOWS)
-        graph = self.graph(self.candidates, some)
+        graph = self.graph(self.candidates)
         firsts = self._first_values(graph)
         fits = [self._optimise(graph, graph.start(rho), FIRST_ITERATIONS, FIRST_CONVERGED) for rho in firsts]
         optimum = min(fits, key=lambda found: found.cost)
-        for _ in range(GROWTH_ROUNDS - 1):
-            self._weigh_anew(graph, optimum)
-            graph = self.graph(self.candidates, some)
-            optimum = self._optimise(graph, optimum.point, FIRST_ITERATIONS, FIRST_CONVERGED)
-        self._weigh_anew(graph, optimum)
-        graph = self.graph(self.candidates)
-        start = optimum.point if some is self.windows else graph.start(optimum.point.rho)
-        return self._judged(self.candidates, graph, self._optimise(graph, start, FIRST_ITERATIONS))
-
-    def _weigh_anew(self, graph: MultiStep, optimum: Optimum) -> None:
-        """Estimate the growth of the model's error and the variation of parameters from a fit."""
-        self.growth = _error_growth(graph, optimum.point)
-        self.variation = graph.found_variation(optimum.point.states)
+        for made in range(GROWTH_ROUNDS):
+            self.growth = _error_growth(graph, optimum.point)
+            self.variation = graph.found_variation(optimum.point.states)
+            graph = self.graph(self.candidates)
+            final = made == GROWTH_ROUNDS - 1
+            tolerance = CONVERGED if final else FIRST_CONVERGED
+            optimum = self._optimise(graph, optimum.point, FIRST_ITERATIONS, tolerance)
+        return self._judged(self.candidates, graph, optimum)
 
     def _first_values(self, graph: MultiStep) -> list[Floats]:
         """First values of rho: the nominal ones with the signs that fit best, and a search with few terms on."""
@@ -211,7 +200,7 @@ class StructureSearch:
         if known:
             regressed = [[v.get(name, value) for name, value in zip(p.names, nominal, strict=True)] for v in known]
             return [p.within_bounds(np.where(p.free, rho, p.nominal)) for rho in regressed]
-        few = self.graph(FIRST_TERMS, graph.windows)
+        few = self.graph(FIRST_TERMS)
         q, problem = few.problem.parameters, few.problem
         search = InitialSearch(
             q, problem.dynamics.discrete_model, problem.chains, few.smoothed, problem.actuators.mean(q.nominal)[0]
@@ -291,9 +280,8 @@ class StructureSearch:
 
     def in_all_windows(self, structure: Structure) -> tuple[Structure, StructureSearch]:
         """The structure fitted to all windows to the end, and the search in these; this one if it has them all."""
-        if not self._is_sample:  # the last fit, after a term was switched off, may have had few iterations
-            found = structure if structure.optimum.converged else self.converged(structure)
-            return replace(found, added=structure.added), self
+        if not self._is_sample:
+            return structure, self
         whole = self._in_windows(self._window, sys.maxsize)
         return whole._again(structure), whole
 

@@ -135,6 +135,8 @@ def searched(search: StructureSearch, every: Structure | None = None) -> Searche
     best = search.completed(simplest, path)
     best = search.pruned(best) if search.is_exact(best) else best
     best, final = search.in_long_windows(best, path)
+    if not best.optimum.converged:  # the last fit, after a term was switched off, had few iterations
+        best = replace(final.converged(best), added=best.added)
     trials = [simplest if s.terms == simplest.terms else s for s in path]
     return Searched(best, final, path, trials + ([] if best is simplest else [best]))
 
