@@ -126,11 +126,11 @@ def with_recorded(base: BaseVehicle, logs: Sequence[Log]) -> tuple[BaseVehicle, 
     known = next((vehicle for vehicle in stated if vehicle is not None), None)
     if known is None:
         return base, _unstated(base) if base.reference in bundled.names("vehicle") else ""
-    if RecordedVehicle.of(base.vehicle, natural_robot(base.vehicle)[0]).located().truth == known.truth:
-        return base, ""
     if any(vehicle != known for vehicle in stated):
         names = ", ".join(dict.fromkeys(vehicle.name if vehicle else "not stated" for vehicle in stated))
         return base, f"the logs do not agree about the vehicle that drove ({names}): nothing is taken over from them"
+    if RecordedVehicle.of(base.vehicle, natural_robot(base.vehicle)[0]).located().truth == known.truth:
+        return base, ""
     missing = with_files(known.truth, Path(), Source(""))[1] if known.truth else []
     if missing:
         return base, f"nothing is taken over from the recorded {known.name}: {missing[0].problem}"

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from kraft.logs.log import Log
 
 
-WHEELBASE: Final = 0.33
+ASSUMED_WHEELBASE: Final = 0.33
 """Wheelbase that the scale of the steering is found with, m: that of a 1:10 car."""
 STEERING_RATIO_MAX: Final = 2.2
 """Factor between the commanded and the found wheel angle up to which commands count as radians."""
@@ -95,7 +95,10 @@ def unit_notes(units: Mapping[str, CommandUnit]) -> tuple[str, ...]:
     if units.get("steering", CommandUnit()).as_is:
         return notes
     ratio = "poses show only the ratio of the scale of the steering to the wheelbase L"
-    return (*notes, f"{ratio}: both are those of a car with about {WHEELBASE:g} m; state the scale if you know it")
+    return (
+        *notes,
+        f"{ratio}: both are those of a car with about {ASSUMED_WHEELBASE:g} m; state the scale if you know it",
+    )
 
 
 def sign_warnings(units: Mapping[str, CommandUnit]) -> tuple[str, ...]:
@@ -161,7 +164,7 @@ def _steering(found: Sequence[Motion]) -> CommandUnit:
     level, slope = np.linalg.lstsq(np.column_stack([speed, speed * (values - middle) / half]), rate, rcond=None)[0]
     if slope == 0.0:
         return CommandUnit()
-    straight, per_unit = middle - half * level / slope, WHEELBASE * slope / half
+    straight, per_unit = middle - half * level / slope, ASSUMED_WHEELBASE * slope / half
     away = float(np.abs(values - straight).max())
     neutral = _rounded(straight, values) if abs(straight) > OFFSET_MAX * away else 0.0
     radians = 1.0 / STEERING_RATIO_MAX <= per_unit <= STEERING_RATIO_MAX

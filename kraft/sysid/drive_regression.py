@@ -112,8 +112,7 @@ def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, me
 
 
 def _samples(parameters: Parameters, chains: Chains, data: SmoothedPoses, mean: Matrix) -> _Samples:
-    states = np.delete(np.arange(chains.states), chains.first[1:] - 1)  # at which a step begins
-    rates, yaw = data.rates[states], data.poses[states, 2]
+    rates, yaw = data.rates[chains.state], data.poses[chains.state, 2]
     v = rates[:, 0] * np.cos(yaw) + rates[:, 1] * np.sin(yaw)
     steps = max(1, round(SPAN / float(chains.h[0])))
     spans = [np.arange(begin, end - steps, max(1, steps // 2)) for begin, end in pairwise(chains.first_step)]

@@ -25,7 +25,7 @@ SENSE_TOLERANCE = 1e-10
 SENSE_ITERATIONS_MAX = 20
 """Most iterations for the sense of motion; two are needed where the speed is linear in the throttle."""
 DIFFERENCE_STEP = 1e-4
-"""Relative step of central differences: errors of 1e-8 by curvature and of 1e-12 by rounding."""
+"""Relative step of differences: central ones have errors of 1e-8 by curvature and of 1e-12 by rounding."""
 
 
 PROBES = 8

@@ -121,7 +121,7 @@ class Knowledge:
         `weight` is that of `prediction_weight`, `information` (drives, free + m, free + m) that of the drives.
         """
         count = len(self.scale)
-        covariance = _inverses(inverse(self.covariance) + information[:, :count, :count])
+        covariance = inverse(inverse(self.covariance) + information[:, :count, :count])
         own = weight * np.outer(self.scale, self.scale)
         errors: Floats = np.sqrt(np.einsum("ij,nij->n", own, covariance))
         return errors
@@ -140,7 +140,7 @@ class Knowledge:
         """Changes (n, free, m) of the estimates by the errors of the model in drives with the information."""
         count = len(self.scale)
         own = information[:, :count, :count] + np.diag(self.prior**-2.0)
-        bent: Floats = _inverses(own) @ information[:, :count, count:]
+        bent: Floats = inverse(own) @ information[:, :count, count:]
         return bent
 
     def simulate(self, drives: Sequence[Commands]) -> Drives:
@@ -201,14 +201,6 @@ class Knowledge:
         times = np.arange(0.0, steps * STEP + 1e-9, 1.0 / self.rate)
         part = Part(drive.times, drive.controls, times, np.zeros((len(times), 3)))
         return Segment(log, part, 0.0, steps, STEP, slice(0, len(times)), True)
-
-
-def _inverses(matrices: Floats) -> Floats:
-    """Inverses of positive definite matrices (n, k, k) whose components may differ by many orders of magnitude."""
-    size = 1.0 / np.sqrt(np.diagonal(matrices, axis1=1, axis2=2))
-    both = size[:, :, None] * size[:, None, :]
-    found: Floats = both * np.linalg.inv(both * matrices)
-    return found
 
 
 def _effects(problem: Problem, point: Point) -> Floats:

@@ -200,7 +200,8 @@ class Identification:
     off: tuple[str, ...] = ()
     """parameters of the model that are off"""
     without_log: tuple[Mapping[str, float], ...] = ()
-    """for each log, the values that the others give, to first order; empty if there is only one"""
+    """for each log, the values that the others give, to first order; empty for one log, and where the folds of a
+    cross-validation are not the logs"""
 
     @property
     def values(self) -> dict[str, float]:

@@ -48,7 +48,7 @@ class Motion:
     part: Part
 
     def commands(self, delay: float = 0.0) -> Matrix:
-        """Commands (n, 2), throttle and steering unless others were asked for, from `delay` s before each sample."""
+        """Commands (n, controls) `delay` s before each sample: throttle and steering, unless others were asked for."""
         at = np.searchsorted(self.part.command_times, self.times - delay, side="right") - 1
         found: Matrix = self.part.commands[np.maximum(at, 0)]
         return found
@@ -60,7 +60,7 @@ def are_of_cars(logs: Sequence[Log]) -> bool:
 
 
 def motions(logs: Sequence[Log], controls: Sequence[str] = CAR_CONTROLS) -> list[Motion]:
-    """Motion of all parts that last for a second or longer, with the commands in the order of `controls`."""
+    """Motion of all parts of a second and ten poses or more, with the commands in the order of `controls`."""
     found = []
     for i, log in enumerate(logs):
         columns = [log.controls.index(name) for name in controls]
@@ -95,7 +95,7 @@ _SMOOTHED: WeakKeyDictionary[Part, tuple[Floats, Matrix, Matrix]] = WeakKeyDicti
 
 
 def _smoothed(part: Part) -> tuple[Floats, Matrix, Matrix]:
-    """Times (n,) of the samples, poses and rates (n, 3) then; kept as long as the part, since every check asks."""
+    """Times (n,) of the samples, poses and rates (n, 3) then; kept while the part exists: several checks need them."""
     found = _SMOOTHED.get(part)
     if found is None:
         less = thinned(part, POSE_INTERVAL)

@@ -17,11 +17,13 @@ from kraft.sysid.identify import identify
 from kraft.sysid.interface import Identification, ModelTrial, Settings
 from kraft.sysid.optimiser import OnIteration, ignore_iteration
 from kraft.sysid.parallel import begin, in_parallel
+from kraft.sysid.parameters import auxiliary_parameters
 from kraft.sysid.prediction import HORIZONS, is_predictable, predict_windows, window_errors
 from kraft.sysid.selection import candidates_of
 from kraft.sysid.smoothing import thinned
 from kraft.sysid.structure_choice import CLEARLY_WORSE
 from kraft.sysid.terms import check_controls, error_of_all_terms, identify_terms
+from kraft.vehicles import CAR_CONTROLS
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Matrix
 
@@ -83,7 +85,7 @@ def identify_car(
         logs: with the commands throttle and steering, in any unit, forward and left positive.
         settings: None for the defaults.
         on_iteration: called after each iteration with the number of iterations and the cost.
-        on_model: called with the name of each model before it is fitted.
+        on_model: called with the name of each model before it is fitted to all logs; with the first one for both cars.
 
     Raises:
         InputError: if the logs cannot be used, or a command never changes in them.
@@ -114,7 +116,8 @@ def identify_car(
 
 def _by_variety(logs: Sequence[Log]) -> list[int]:
     """Indices of the logs, those first whose commands vary most: straight drives show nothing of the steering."""
-    joined = [np.concatenate([part.commands for part in log.parts]) for log in logs]
+    columns = [[log.controls.index(name) for name in CAR_CONTROLS] for log in logs]
+    joined = [np.concatenate([p.commands[:, own] for p in log.parts]) for log, own in zip(logs, columns, strict=True)]
     full = np.maximum(np.std(np.concatenate(joined), axis=0), 1e-9)
     variety = [float(np.min(np.std(commands, axis=0) / full)) for commands in joined]
     return sorted(range(len(logs)), key=lambda k: -variety[k])
@@ -147,7 +150,10 @@ def _screened(name: str, logs: Sequence[Log], settings: Settings) -> _Candidate 
     if known is None:
         return None
     identification = replace(known.identification, without_log=())
-    return _judged(replace(known, identification=identification), [logs[k] for k in _tests(logs)], settings)
+    try:
+        return _judged(replace(known, identification=identification), [logs[k] for k in _tests(logs)], settings)
+    except InputError:  # nothing moves in these logs
+        return None
 
 
 def _sampled(log: Log, seconds: float) -> Log:
@@ -205,7 +211,7 @@ def _definitions(cars: Sequence[BaseVehicle]) -> list[VehicleConfig]:
 def _known(name: str, logs: Sequence[Log], settings: Settings, on_iteration: OnIteration) -> IdentifiedCar | None:
     """A known model, fitted; None if that is impossible, or if it has other parameters than the settings name."""
     base = load_base_vehicle(name)
-    if not {*settings.values, *settings.frozen} <= set(base.vehicle.parameters):
+    if not {*settings.values, *settings.frozen} <= {*base.vehicle.parameters, *auxiliary_parameters(base.vehicle)}:
         return None
     less = [replace(log, parts=tuple(thinned(part, settings.step) for part in log.parts)) for log in logs]
     try:

@@ -38,7 +38,7 @@ NEARLY_LINEAR = 0.01
 """Relative decrease of the cost by a step up to which derivatives are kept for the next one."""
 DAMPING_INITIAL, DAMPING_MIN, DAMPING_MAX = 1e-3, RIDGE, 1e7
 VARIATION_MIN = 0.1
-"""Least ratio of the estimated variation of a parameter to the one before, and of that to it."""
+"""Least share of the variation before that a new estimate may be, and of the estimate that the one before may be."""
 MISFIT_FREEDOM = 3.0
 """Degrees of freedom of Student's distribution of a window's misfit: its poses err together, so that a window which the
 model does not explain (a start against stiction, a hand on the car) counts little as a whole."""

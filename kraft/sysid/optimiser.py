@@ -310,8 +310,9 @@ def _shift(rest: Matrix, gradient: Floats, held: Bools) -> Floats:
     return move
 
 
-def inverse(information: Matrix) -> Matrix:
-    """Inverse of a positive definite matrix whose components may differ by many orders of magnitude."""
-    scale = 1.0 / np.sqrt(np.diag(information))
-    inverse: Matrix = scale[:, None] * np.linalg.inv(scale[:, None] * information * scale[None, :]) * scale[None, :]
+def inverse(information: Floats) -> Floats:
+    """Inverses of positive definite matrices (..., k, k) whose components may differ by many orders of magnitude."""
+    size = 1.0 / np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
+    both = size[..., :, None] * size[..., None, :]
+    inverse: Floats = both * np.linalg.inv(both * information)
     return inverse

@@ -16,7 +16,7 @@ Found = TypeVar("Found")
 
 
 def in_parallel(function: Callable[[Item], Found], items: Iterable[Item]) -> list[Found]:
-    """Results of a function of each item, on all cores; in turn if this is one of the threads that do so already."""
+    """Results of a function of each item, in their order, by threads on all cores; within such a thread in turn."""
     if getattr(_thread, "working", False):
         return [function(item) for item in items]
 
@@ -24,12 +24,12 @@ def in_parallel(function: Callable[[Item], Found], items: Iterable[Item]) -> lis
 
 
 def begin(function: Callable[[Item], Found], item: Item) -> Future[Found]:
-    """Begin a function of an item on one core, beside what follows."""
+    """Start a function in a thread and return at once; `result()` waits for it, and raises what it raised."""
     return _pool().submit(_alone, function, item)
 
 
 def _alone(function: Callable[[Item], Found], item: Item) -> Found:
-    """Result of a function that uses no other core."""
+    """Result of a function in a thread, whose own calls of `in_parallel` start no others."""
     _thread.working = True
     return function(item)
 

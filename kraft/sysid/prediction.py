@@ -33,11 +33,20 @@ from kraft.sysid.parameters import (
     variation_of,
     vehicle_of,
 )
-from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, noise_model, simulated, starting_point
+from kraft.sysid.problem import (
+    NoiseModel,
+    ObservationModel,
+    Point,
+    Problem,
+    assemble,
+    noise_model,
+    simulated,
+    starting_point,
+)
 from kraft.sysid.selection import check_settings
 from kraft.sysid.smoothing import begins_at_rest, constant_motion, measured_noise, thinned
 from kraft.sysid.window_controls import WindowControls
-from kraft.sysid.windows import Variation, windows_of
+from kraft.sysid.windows import WINDOW_MIN, Variation, windows_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.vehicle import Vehicle
@@ -53,8 +62,8 @@ HISTORY_PROCESS_FACTOR = 3.0
 even if the parameters are wrong."""
 HISTORY_ITERATIONS, HISTORY_CONVERGED = 15, 1e-3
 """Most iterations of the fit of a history, and the relative decrease of its cost below which it has converged."""
-HISTORY_MIN, WINDOW_MIN = 0.5, 0.5
-"""Least length of a history and of a window, s."""
+HISTORY_MIN = 0.5
+"""Least length of a history, s."""
 RECENT = 0.3
 """Time before a window whose poses show its speed and turning rate, s."""
 ASTRAY = 30.0
@@ -406,10 +415,7 @@ def _between(piece: Piece, first: int, last: int, step: float) -> Segment:
 def _at_rest(parameters: Parameters, rho: Floats, pose: Floats) -> Floats:
     """State at rest with an observed pose."""
     model = parameters.vehicle
-    lever, side, offset = (
-        float(rho[k]) if (k := parameters.auxiliary_index(name)) >= 0 else 0.0
-        for name in ("lever", "side", "yaw_offset")
-    )
+    lever, side, offset = ObservationModel(parameters).offsets(rho)
     yaw = pose[2] - offset
     c, s = np.cos(yaw), np.sin(yaw)
     state = np.zeros(len(model.state))

@@ -47,14 +47,19 @@ class ObservationModel:
             parameters.auxiliary_index(name) for name in ("lever", "side", "yaw_offset")
         )
 
-    def predict(self, states: Matrix, rho: Floats, out: Matrix | None = None) -> Matrix:
+    def offsets(self, rho: Floats) -> tuple[float, float, float]:
+        """Lever (m), side (m) and yaw offset (rad) in rho, 0 for those that it lacks."""
+        lever, side, yaw = (float(rho[k]) if k >= 0 else 0.0 for k in (self._lever, self._side, self._offset))
+        return lever, side, yaw
+
+    def predict(self, states: Matrix, rho: Floats) -> Matrix:
         """Poses (n, 3) observed of states (n, nx); yaw is 0 for a vehicle without yaw."""
-        poses = np.zeros((len(states), 3)) if out is None else out
+        poses = np.zeros((len(states), 3))
         poses[:, 0], poses[:, 1] = states[:, self._x], states[:, self._y]
         if self._theta < 0:
             return poses
         yaw = states[:, self._theta]
-        lever, side, offset = (rho[k] if k >= 0 else 0.0 for k in (self._lever, self._side, self._offset))
+        lever, side, offset = self.offsets(rho)
         poses[:, 2] = yaw + offset
         if lever != 0.0 or side != 0.0:
             c, s = np.cos(yaw), np.sin(yaw)
@@ -68,8 +73,7 @@ class ObservationModel:
         The states of window w are those of `lane[w]`.
         """
         shown = np.array([self._x, self._y, self._theta], dtype=np.int64)
-        parts = (rho[k] if k >= 0 else 0.0 for k in (self._lever, self._side, self._offset))
-        poses_of_windows(states, lane, step, share, shown, np.array([*parts], dtype=np.float64), out)
+        poses_of_windows(states, lane, step, share, shown, np.array(self.offsets(rho)), out)
 
     def linearise(self, states: Matrix, rho: Floats) -> tuple[Floats, Floats]:
         """Derivatives of the poses by state (n, 3, nx) and by rho (n, 3, np)."""
@@ -82,7 +86,7 @@ class ObservationModel:
             by_rho[:, 2, self._offset] = 1.0
         if self._lever >= 0 or self._side >= 0:
             c, s = np.cos(states[:, self._theta]), np.sin(states[:, self._theta])
-            lever, side = (rho[k] if k >= 0 else 0.0 for k in (self._lever, self._side))
+            lever, side, _ = self.offsets(rho)
             by_state[:, 0, self._theta] = -lever * s - side * c
             by_state[:, 1, self._theta] = lever * c - side * s
             if self._lever >= 0:

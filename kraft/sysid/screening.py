@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 FINE_DELAYS: Final = tuple(0.01 * k for k in range(-10, 11))
 """Delays at which the response to the steering is sought, s."""
-EXPLAINED_MAX: Final = 0.5
+UNEXPLAINED_MAX: Final = 0.5
 """Share of a motion that a command leaves unexplained, up to which it counts as its cause."""
 NEAR_DELAYS: Final = np.round(np.arange(-0.1, 0.61, 0.05), 3)
 """Delays of a response that a car and a recorder may have, s."""
@@ -102,14 +102,15 @@ def turns_before_steered(logs: Sequence[Log]) -> bool:
         return False
     errors = np.array([yaw_error(found, delay) for delay in FINE_DELAYS])
     best = int(np.argmin(errors))
-    return bool(FINE_DELAYS[best] < 0.0 and errors[best] < EXPLAINED_MAX and errors.max() > 1.2 * errors[best])
+    return bool(FINE_DELAYS[best] < 0.0 and errors[best] < UNEXPLAINED_MAX and errors.max() > 1.2 * errors[best])
 
 
 def two_cars(logs: Sequence[Log]) -> str:
     """The logs that drive differently from the others, if they fall into two groups, with what to do; else empty."""
-    if not are_of_cars(logs):
+    found = motions(logs) if are_of_cars(logs) else []
+    if not found:
         return ""
-    problem = _check_groups(motions(logs), logs)
+    problem = _check_groups(found, logs)
     return "" if problem is None else f"{problem.problem}; {problem.expected}"
 
 
@@ -190,7 +191,7 @@ def _fine_delay(found: Sequence[Motion], delay: float) -> float:
     """
     delays = delay + FINE_STEP * np.arange(-FINE_COUNT, FINE_COUNT + 1)
     errors = [yaw_error(found, each) for each in delays]
-    if min(errors) < EXPLAINED_MAX:
+    if min(errors) < UNEXPLAINED_MAX:
         return float(delays[np.argmin(errors)])
     return _least(found, delays)[1]
 

@@ -45,7 +45,7 @@ from kraft.sysid.selection import cost_of_terms, costs_of_terms, is_shown, size_
 from kraft.sysid.smoothing import measured_noise, thinned
 from kraft.sysid.structure_choice import NEGLIGIBLE_LOSS, OFFSETS, Structure, best_of, is_near, may_be_near
 from kraft.sysid.window_controls import WindowControls
-from kraft.sysid.windows import Variation, cut, evenly, folds_of, windows_of
+from kraft.sysid.windows import WINDOW_MIN, Variation, cut, evenly, folds_of, windows_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
@@ -65,10 +65,10 @@ LARGE_SHARE: Final = 0.99
 FIRST_TERMS: Final = ("friction", "lever")
 """Terms in the search for first values."""
 SEARCHED_WINDOWS: Final = 100
-"""Most windows to which structures are fitted and on whose predictions they are judged, evenly spread over the logs: of
-more, the last fit alone is made."""
+"""Most windows that the search uses, evenly spread over the logs; of more, only the last fit uses all."""
 FIRST_ITERATIONS, FIRST_CONVERGED = 20, 1e-3
-"""Most iterations of a fit whose weights are not final, and the relative decrease of its cost below which it ends."""
+"""Most iterations of the first fits of all terms, and the relative decrease of the cost below which those whose weights
+are not final end."""
 VARIATION_ROUNDS, VARIATION_CHANGE = 3, 0.3
 """Most estimates of the variation with the chosen terms, and the relative change below which one is the last."""
 WORSE_MAX: Final = 3
@@ -76,7 +76,7 @@ WORSE_MAX: Final = 3
 NO_DIFFERENCE: Final = 1.0
 """Most increase of the cost by terms that are switched off together: less than any term needs to be shown."""
 PATH_COST: Final = 2.0
-"""Most by which the cost of a term may be larger than its increase on the path, whose fits are not at their ends."""
+"""Factor on the increase of the cost on the path that bounds what a term costs: fits there are not at their ends."""
 SIZE_MIN: Final = 0.15
 """Least size of a term that is switched on again, over the standard deviation of what is known of cars.
 
@@ -126,6 +126,10 @@ class StructureSearch:
             for segment in cut(thinned(part, settings.step), i, settings, window)
         ]
         segments = [segment for segment, _ in found]
+        if not segments:
+            problem = f"have no window of {WINDOW_MIN:g} s with four poses"
+            expected = "expected longer drives, more poses a second, or a longer horizon"
+            raise InputError.of("logs", problem, expected, Code.DATA)
         self.noise: NoiseModel = noise_model(self.model, settings, noise)
         self.growth: Floats = np.array(FIRST_GROWTH)
         stated = variation_of(self.parameters(()), settings)
@@ -179,6 +183,9 @@ class StructureSearch:
         firsts = self._first_values(graph)
         fits = [self._optimise(graph, graph.start(rho), FIRST_ITERATIONS, FIRST_CONVERGED) for rho in firsts]
         optimum = min(fits, key=lambda found: found.cost)
+        if optimum is not fits[-1]:  # the variation follows from what was eliminated last
+            graph.linearise(optimum.point)
+            graph.reduce(0.0)
         for made in range(GROWTH_ROUNDS):
             self.growth = _error_growth(graph, optimum.point)
             self.variation = graph.found_variation(optimum.point.states)

@@ -17,9 +17,9 @@ from ompl_ext.arrays import Floats, Matrix
 OFFSETS: Final = ("lever", "yaw_offset")
 """Terms of the poses alone, which no effect of discrete steps looks like."""
 CLEARLY_WORSE: Final = 0.1
-"""Share by which a structure predicts worse that lacks something; without a needed term it is a multiple."""
+"""Share by which a structure predicts worse that counts as clearly worse; without a needed term it is a multiple."""
 NEGLIGIBLE_LOSS: Final = 0.04
-"""Share by which a simpler structure may predict worse: as much as a term can gain that stands for discrete steps."""
+"""Share by which a simpler structure may predict worse: a term that only makes up for discrete steps gains as much."""
 NEGLIGIBLE_OFFSET: Final = 0.02
 """The same for a structure that lacks an offset of the poses."""
 

@@ -77,13 +77,13 @@ def identify_terms(
     found = searched(search)
     if simpler is not None and steered.changes:
         other = StructureSearch(simpler, usable, settings, on_iteration)
-        other.growth, other.iterations = search.growth, found.final.iterations
+        other.growth, other.variation, other.iterations = search.growth, search.variation, found.final.iterations
         alike = other.alike(found.best)
         own = StructureSearch(simpler, usable, settings, on_iteration)
         own.iterations = other.iterations
         taken = simplified(found, alike, own)
         vehicle = vehicle if taken.best is found.best else simpler
-        found = taken
+        found = taken._replace(final=other) if taken.best is alike else taken
         found.final.iterations = max(found.final.iterations, own.iterations)
     best, final = found.final.in_all_windows(found.best)
     identification = _identified(best, final, usable, settings)
@@ -170,7 +170,7 @@ def _wheelbase_note(identification: Identification, settings: Settings) -> list[
     return [
         f"poses do not show {WHEELBASE}, the wheelbase, but its ratio to the steering: it is taken as "
         f"{known.value:g} m, and wheel angles are those of such a car; state the measured one "
-        f"(--param {WHEELBASE}=...), with which predictions of a car whose wheels turn little are about the same"
+        f"as the value of {WHEELBASE}, with which predictions of a car whose wheels turn little are about the same"
     ]
 
 
@@ -186,8 +186,8 @@ def check_controls(logs: Sequence[Log], steered: SteeringInMotion) -> None:
         InputError: with every such control.
     """
     problems = []
-    for k, name in enumerate(logs[0].controls):
-        values = np.concatenate([part.commands[:, k] for log in logs for part in log.parts])
+    for name in logs[0].controls:
+        values = np.concatenate([part.commands[:, log.controls.index(name)] for log in logs for part in log.parts])
         expected = "expected drives in which it takes several values, left and right, or forward and coasting"
         if np.ptp(values) <= 0.0:
             problems.append(Diagnostic("logs", f"{name} is always {values[0]:g}", expected, code=Code.DATA))
@@ -244,4 +244,5 @@ def _identified(best: Structure, search: StructureSearch, logs: Sequence[Log], s
         auxiliary=tuple(name for name in found.auxiliary if name not in missing),
     )
     others = [dict(zip(p.names, map(float, rho), strict=True)) for rho in best.others]
-    return replace(found, off=off, without_log=tuple(others) if len(others) == len(logs) else ())
+    of_logs = len(others) == len(logs) == len({s.log for s in search.windows.segments})
+    return replace(found, off=off, without_log=tuple(others) if of_logs else ())

@@ -20,8 +20,9 @@ from ompl_ext.arrays import Floats, Ints, Matrix
 LEAD, SETTLING = 1.0, 1.0
 """Time before a window whose commands show components of its initial state that poses do not show, and time for which
 the command before is held, s."""
-KEPT: Final = 8
-"""Number of values of the actuator parameters for which the acting controls are kept."""
+KEPT: Final = 16
+"""Number of values of the actuator parameters for which the acting controls are kept: more than the nine of a
+linearisation, whose threads only read."""
 
 Found = TypeVar("Found")
 

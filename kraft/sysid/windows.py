@@ -125,7 +125,7 @@ def folds_of(segments: Sequence[Segment], logs: int) -> Ints:
     log = np.array([s.log for s in segments])
     if logs >= FOLDS_MIN:
         return np.unique(log, return_inverse=True)[1].astype(np.int64)
-    blocks = math.ceil(FOLDS_MIN / max(logs, 1)) if logs > 1 else FOLDS_MIN
+    blocks = math.ceil(FOLDS_MIN / max(logs, 1))
     fold = np.zeros(len(segments), dtype=np.int64)
     for i in np.unique(log):
         own = np.flatnonzero(log == i)

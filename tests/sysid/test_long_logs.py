@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import qmc, rankdata
-from support.cars import car, drive
+from support.cars import TRUTH, car, drive
 
+from kraft.errors import InputError
 from kraft.logs.log import Log
 from kraft.sysid import Settings
 from kraft.sysid.checks import _ranks
@@ -54,6 +55,23 @@ def test_parameters_are_those_of_all_windows(logs: list[Log], monkeypatch: pytes
     assert len(few.without_log) == len(logs)
     for name in ("a_drive", "damping", "steer"):
         assert few.values[name] == pytest.approx(whole.values[name], rel=0.02)
+
+
+def test_a_car_without_lags_is_fitted_to_all_windows_as_such(logs: list[Log], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(StructureSearch.__init__, "__defaults__", (None, 20))
+    lags, none = (load_vehicle_config(name) for name in ("car-lag", "car"))
+    found = identify_terms(lags, logs, Settings(), simpler=none)
+    assert found.vehicle is none
+    assert found.identification.values["a_drive"] == pytest.approx(TRUTH["a_drive"], rel=0.02)
+    assert not {"tau_steer", "tau_yaw"} & found.identification.parameters.keys()
+
+
+def test_logs_without_a_window_of_four_poses_are_refused(logs: list[Log]) -> None:
+    (part,) = logs[0].parts
+    rare = replace(part, pose_times=part.pose_times[::5].copy(), poses=part.poses[::5].copy())
+    settings = Settings(horizon=0.5)
+    with pytest.raises(InputError, match=r"no window of 0\.5 s with four poses"):
+        identify_terms(load_vehicle_config("car"), [replace(logs[0], parts=(rare,))], settings)
 
 
 def test_items_are_taken_evenly() -> None:

@@ -55,9 +55,9 @@ class SlopingObservationModel(ObservationModel):
         self._slope = [parameters.auxiliary_index(name) for name in SLOPE]
         self._pose = [parameters.vehicle.index(name) for name in ("x", "y", "theta")]
 
-    def predict(self, states: Matrix, rho: Floats, out: Matrix | None = None) -> Matrix:
+    def predict(self, states: Matrix, rho: Floats) -> Matrix:
         """Poses (n, 3) measured of states (n, nx)."""
-        poses = super().predict(states, rho, out)
+        poses = super().predict(states, rho)
         poses[:] = self._camera.seen(poses, rho[self._slope])
         return poses
 
