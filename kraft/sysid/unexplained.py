@@ -157,7 +157,7 @@ def _residuals_of(
         gradual = [terms(m, _followed(u, full * STEP / sweep)) for m, u in zip(found, commands, strict=True)]
         return _residuals([np.column_stack(both) for both in zip(prompt, gradual, strict=True)], values)
 
-    best = min((slow(sweep) for sweep in SWEEPS), key=_square)
+    best = min((slow(sweep) for sweep in SWEEPS), key=_square, default=at_once)
     return best if _square(best) < SLOW * _square(at_once) else at_once
 
 
