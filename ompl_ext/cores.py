@@ -18,7 +18,7 @@ ONE_BLAS_THREAD: Final = dict.fromkeys(
 """Environment variables that restrict linear algebra to one thread; they are read when its library is loaded.
 
 Its threads wait for each other without sleeping: beside other work a regression takes 30 times as long with two of
-them as with one, and on an idle machine as long.
+them as with one, and on an idle machine about as long.
 """
 
 
