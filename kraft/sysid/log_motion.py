@@ -28,6 +28,8 @@ REVERSE_SHARE: Final = 0.1
 """Share of the high speeds above which a vehicle counts as driving backwards."""
 REVERSE_TIME_MIN: Final = 2.0
 """Least time of all drives backwards that shows the drive of throttle backwards, s."""
+_SMOOTHED: WeakKeyDictionary[Part, tuple[Floats, Matrix, Matrix]] = WeakKeyDictionary()
+"""What `_smoothed` found for parts that still exist."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +93,8 @@ def motion(log: int, part: Part, columns: Sequence[int]) -> Motion:
     return Motion(log, times, speed, side, rates[:, 2], poses[:, 2], ordered)
 
 
-_SMOOTHED: WeakKeyDictionary[Part, tuple[Floats, Matrix, Matrix]] = WeakKeyDictionary()
-
-
 def _smoothed(part: Part) -> tuple[Floats, Matrix, Matrix]:
-    """Times (n,) of the samples, poses and rates (n, 3) then; kept while the part exists: several checks need them."""
+    """Times (n,) of the samples, poses and rates (n, 3) then; kept, because several checks need them."""
     found = _SMOOTHED.get(part)
     if found is None:
         less = thinned(part, POSE_INTERVAL)
