@@ -42,12 +42,17 @@ def test_a_link_opens_a_trial_and_the_numbers_under_the_cursor_are_the_recorded_
 def test_a_replay_plays_pauses_steps_and_goes_to_other_trials(tab: Page, driven: Driven) -> None:
     open_trial(tab, driven.url)
     begin = car(tab)
-    tab.select_option("#replay-speed", "8")
+    tab.select_option("#replay-speed", "0.25")
     tab.click("#replay-play")
     tab.wait_for_function("d => document.querySelector('#stage .car.body').getAttribute('d') !== d", arg=begin)
     assert tab.inner_text("#replay-play") == "pause"
     tab.keyboard.press("Space")
     assert tab.inner_text("#replay-play") == "play"
+    tab.select_option("#replay-speed", "8")
+    tab.click("#replay-play")
+    tab.wait_for_function("() => document.getElementById('replay-play').textContent === 'play'")
+    now, _, end, _ = tab.inner_text("#replay-clock").split()
+    assert now == end
     seek(tab, 0.0)
     cycles = driven.drive("kraft", 0)["cycles"]
     for cycle in cycles[1:4]:

@@ -122,9 +122,10 @@ def test_it_converges_towards_the_straight_way_in_an_empty_room() -> None:
 def test_a_budget_of_seconds_is_kept() -> None:
     dirt = turns(capacity=50_000)
     dirt.start(START, 0)
-    began = time.perf_counter()
+    began, worked = time.perf_counter(), time.thread_time()
     progress = dirt.grow(seconds=0.05)
-    assert 0.05 <= time.perf_counter() - began < 0.2
+    assert time.perf_counter() - began >= 0.05
+    assert time.thread_time() - worked < 0.2  # on a busy machine the wall clock runs on while the thread waits
     assert progress.iterations > 100
     stops = iter([False, False, True])
     before = progress.iterations
