@@ -80,7 +80,7 @@ class CommandLoss:
         Then it goes on as it was, as far as it is free.  The tree of `dirt` is replaced, with `seed` for its numbers.
         """
         dirt = self.dirt
-        for share in SHARES:
+        for share in SHARES if len(plan.durations) > 0 else ():
             controls, durations, slowed = _slowed_edges(plan, self._driven, share, cycle, dirt.settings.longest)
             dirt.start(root, seed)
             retained = dirt.retain_edges(np.arange(len(durations)) - 1, controls, durations, optimised=True)
@@ -94,7 +94,7 @@ def _slowed_edges(plan: Plan, driven: Bools, share: float, cycle: float, longest
     An edge that is slowed takes as much longer as it is slower, so it ends about where it did; it is divided where it
     would take more than `longest` s.  The number of the edges that are slowed comes last.
     """
-    controls, durations, time = list[Floats](), list[float](), 0.0
+    controls, durations, time, slowed = list[Floats](), list[float](), 0.0, 0
     for control, duration in zip(plan.controls, plan.durations.tolist(), strict=True):
         slow, left = min(duration / share, max(0.0, cycle - time)), duration
         if slow > 1e-9:

@@ -29,6 +29,10 @@ CREEPING_SPEED: Final = 0.2
 """Speed at which the path of a plan is followed, m/s."""
 CREEPING_LENGTH: Final = 0.6
 """Length of the path that is followed at that speed, m."""
+BACKWARDS: Final = 0.01
+"""Speed backwards from which on a path changes its direction, m/s."""
+NOWHERE: Final = 1e-3
+"""Length of a path up to which it leads nowhere, m."""
 TRACKING: Final = 0.03
 """Difference between the slack of a contingency in the model and when it is tracked that is allowed for, m."""
 PREDICTIONS: Final = 8
@@ -71,15 +75,18 @@ class ContingencyRanking:
     def __init__(self, dirt: DirtSolver, predict: ClosedLoopPredictor, model: VehicleModel) -> None:
         """`dirt` has the obstacles and the clearance, `predict` the controller, `model` the vehicle."""
         self._dirt, self._predict, self._model = dirt, predict, model
+        self._cycle_start = 0.0
 
     def best(
-        self, state: Floats, time: float, in_hand: Reference | None, plans: Sequence[Reference]
+        self, state: Floats, time: float, in_hand: Reference | None, plans: Sequence[Reference], cycle_start: float
     ) -> TrackedContingency:
         """Best contingency from `state` (nx,) at `time` s; an emergency if none keeps the clearance.
 
-        Candidates are all manoeuvres, the contingency `in_hand`, and those that follow one of the `plans` first.
+        Candidates are all manoeuvres, the contingency `in_hand`, and those that follow one of the `plans` first.  The
+        clearance grows from `cycle_start` s on.
         """
-        bound = self._rounded_slack(np.asarray(state)[None, :])  # all candidates begin here
+        self._cycle_start = cycle_start
+        bound = self._rounded_slack(np.asarray(state)[None, :], np.array([time]))  # all candidates begin here
         found: TrackedContingency | None = None
         for candidates in (self._immediate(state, time, in_hand), self._along(state, time, plans)):
             if found is None or found.rounded_slack < bound:
@@ -103,7 +110,7 @@ class ContingencyRanking:
         return found
 
     def _track(self, state: Floats, time: float, reference: Reference, origin: ContingencyOrigin) -> TrackedContingency:
-        predicted = self._predict.until_rest(state, time, reference)
+        predicted = self._predict.until_rest(state, time, reference, self._cycle_start)
         if predicted.slack >= 0.0:
             return TrackedContingency(reference, origin, predicted)
         coarse = predicted.states[::3]
@@ -112,17 +119,23 @@ class ContingencyRanking:
         speeds = np.abs(coarse[:, self._dirt.vehicle.rest_indices[0]])
         return TrackedContingency(reference, origin, predicted, float(speeds[hits.argmax()]) if hits.any() else 0.0)
 
-    def _rounded_slack(self, states: Matrix) -> int:
-        return _rounded(least_slack(self._dirt, states))
+    def _rounded_slack(self, states: Matrix, times: Floats) -> int:
+        return _rounded(least_slack(self._dirt, states, times - self._cycle_start))
+
+    def _times(self, begin: float, states: Matrix) -> Floats:
+        """Times (n,) of the states (n, nx) of a manoeuvre that begins at `begin` s."""
+        times: Floats = begin + self._dirt.safety.step * np.arange(len(states), dtype=float)
+        return times
 
     def _immediate(self, state: Floats, time: float, in_hand: Reference | None) -> Iterator[_Candidate]:
         """All manoeuvres, and the contingency in hand."""
         for number, states in enumerate(self._dirt.manoeuvres(state)):
-            build = partial(self._manoeuvre, number, time, states)
-            yield _Candidate(self._rounded_slack(states), self._end(time, states), ContingencyOrigin.SAFE, build)
+            build, times = partial(self._manoeuvre, number, time, states), self._times(time, states)
+            yield _Candidate(self._rounded_slack(states, times), float(times[-1]), ContingencyOrigin.SAFE, build)
         if in_hand is not None:
-            left = in_hand.states[in_hand.times >= min(time, in_hand.end)]
-            yield _Candidate(self._rounded_slack(left), in_hand.end, ContingencyOrigin.IN_HAND, lambda: in_hand)
+            left = in_hand.times >= min(time, in_hand.end)
+            slack = self._rounded_slack(in_hand.states[left], np.maximum(in_hand.times[left], time))
+            yield _Candidate(slack, in_hand.end, ContingencyOrigin.IN_HAND, lambda: in_hand)
 
     def _along(self, state: Floats, time: float, plans: Sequence[Reference]) -> Iterator[_Candidate]:
         """Contingencies that follow a plan first; they do not move a vehicle that stands."""
@@ -130,22 +143,19 @@ class ContingencyRanking:
             return
         for plan in plans:
             for leaves in (time + duration for duration in FOLLOWED if time + duration < plan.end):
-                _, followed, _ = _part(plan, time, leaves)
+                during, followed, _ = _part(plan, time, leaves)
                 for number, states in enumerate(self._dirt.manoeuvres(followed[-1])):
-                    slack = self._rounded_slack(np.vstack([followed, states]))
+                    times = self._times(leaves, states)
+                    slack = self._rounded_slack(np.vstack([followed, states]), np.concatenate([during, times]))
                     build = partial(self._after, plan, time, number, leaves, states)
-                    yield _Candidate(slack, self._end(leaves, states), ContingencyOrigin.PLAN_THEN_STOP, build)
+                    yield _Candidate(slack, float(times[-1]), ContingencyOrigin.PLAN_THEN_STOP, build)
             creeping = self._creeping(state, time, plan)
             if creeping is not None:
-                slack = self._rounded_slack(creeping.states)
+                slack = self._rounded_slack(creeping.states, creeping.times)
                 yield _Candidate(slack, creeping.end, ContingencyOrigin.CREEPING, partial(replace, creeping))
 
-    def _end(self, time: float, states: Matrix) -> float:
-        return time + self._dirt.safety.step * (len(states) - 1)
-
     def _manoeuvre(self, number: int, time: float, states: Matrix) -> Reference:
-        times: Floats = time + self._dirt.safety.step * np.arange(len(states), dtype=float)
-        return manoeuvre_reference(self._dirt.vehicle, number, times, states)
+        return manoeuvre_reference(self._dirt.vehicle, number, self._times(time, states), states)
 
     def _after(self, plan: Reference, begin: float, number: int, leaves: float, states: Matrix) -> Reference:
         return _joined(plan, begin, self._manoeuvre(number, leaves, states))
@@ -153,15 +163,16 @@ class ContingencyRanking:
     def _creeping(self, state: Floats, time: float, plan: Reference) -> Reference | None:
         """Path of a plan from `time` s on, at low speed as soon as the brakes allow, then standstill.
 
-        None if the plan is over, or soon changes its direction of travel.
+        None if the plan is over, leads nowhere from here, or goes backwards within that length.
         """
         model, step = self._model, self._dirt.safety.step
         if time >= plan.end or float(state[model.v]) <= 0.0:
             return None
         planned, path, _ = _part(plan, time, plan.end)
-        if float(path[:, model.v].min()) < 0.0:
-            return None
         places = np.concatenate([[0.0], np.hypot(*np.diff(path[:, [model.x, model.y]], axis=0).T).cumsum()])
+        backwards = path[places <= CREEPING_LENGTH, model.v] < -BACKWARDS
+        if places[-1] < NOWHERE or backwards.any():
+            return None
         speeds, arc_lengths = self._creeping_speeds(state, min(CREEPING_LENGTH, float(places[-1])))
         states = interpolated_rows(np.array(arc_lengths), places, path)
         others = model.velocities[1:]  # they stay in proportion to the speed

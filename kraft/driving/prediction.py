@@ -46,23 +46,27 @@ class ClosedLoopPredictor:
             at, first, slack = driven[-1], last, min(slack, least)
         return PredictedMotion(times, np.vstack(states), slack, controls=np.vstack(controls))
 
-    def until_rest(self, state: Floats, begin: float, contingency: Reference) -> PredictedMotion:
+    def until_rest(self, state: Floats, begin: float, contingency: Reference, cycle_start: float) -> PredictedMotion:
         """Track a contingency from `state` at `begin` s until standstill, with SAFETY's clearance all the way.
 
-        A vehicle that still moves when SAFETY's horizon is over after the end of the contingency has negative slack.
+        The clearance grows from `cycle_start` s on.  A vehicle that still moves when SAFETY's horizon is over after the
+        end of the contingency has negative slack.
         """
         latest = max(begin, contingency.end) + self.dirt.safety.horizon
         times: Floats = begin + self.period * np.arange(math.ceil((latest - begin) / self.period) + 2, dtype=float)
         ticks = int(np.searchsorted(times, latest, side="right"))
-        during = self._ticks(times[:ticks], np.full(ticks, self.period), np.zeros(ticks))
+        during = self._ticks(times[:ticks], np.full(ticks, self.period), times[:ticks] - cycle_start)
         start = np.asarray(state, dtype=float)
-        worst = self.dirt.slack(start)
-        controller = copy.deepcopy(self.controller)
-        states, _, slack = self._drive(controller, contingency, start, during, contingency.end - 1e-9)
-        worst = min(worst, slack)
+        controller, cycle = copy.deepcopy(self.controller), self.dirt.safety.cycle
+        self.dirt.set_cycle(float(times[-1]) - cycle_start)  # edges keep the clearance only in the cycle
+        try:
+            states, _, worst = self._drive(controller, contingency, start, during, contingency.end - 1e-9)
+        finally:
+            self.dirt.set_cycle(cycle)
         if len(states) > ticks and not self.dirt.safety.is_resting(self.dirt.vehicle, states[-1]):
             worst = -1.0
-        least = least_slack(self.dirt, states)
+        least = least_slack(self.dirt, states, times[: len(states)] - cycle_start)
+        worst = worst if len(states) > 1 else least  # a vehicle at rest has no edge
         slack = min(worst, least) if worst < 0.0 else max(least, 0.0)
         return PredictedMotion(times[: len(states)], states, slack)
 
@@ -97,13 +101,13 @@ class ClosedLoopPredictor:
         return np.array(states), np.vstack(controls), slack
 
 
-def required_clearance(dirt: DirtSolver, states: Matrix, since: float = math.inf) -> Floats:
-    """Clearance delta(t, v) (n,) that SAFETY asks of states (n, nx) `since` s after the begin of the cycle, m."""
+def required_clearance(dirt: DirtSolver, states: Matrix, since: Floats | float = math.inf) -> Floats:
+    """Clearance delta(t, v) (n,) that SAFETY asks of states (n, nx) `since` s, or (n,), after the cycle's begin, m."""
     speeds = states[:, dirt.vehicle.rest_indices[0]]
-    return dirt.safety.clearance(speeds, np.full(len(states), since))
+    return dirt.safety.clearance(speeds, np.broadcast_to(since, len(states)))
 
 
-def least_slack(dirt: DirtSolver, states: Matrix, since: float = math.inf) -> float:
-    """Smallest clearance of states (n, nx) beyond the one that SAFETY asks for (m), a lower bound."""
+def least_slack(dirt: DirtSolver, states: Matrix, since: Floats | float = math.inf) -> float:
+    """Smallest clearance of states (n, nx) beyond the one that SAFETY asks for (m), a lower bound; `since` as above."""
     poses = poses_of(states, dirt.vehicle)
     return float((dirt.clearances(poses) - required_clearance(dirt, states, since)).min())

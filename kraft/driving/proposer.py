@@ -135,8 +135,6 @@ class Proposer:
     def _use(self, solvers: Solvers) -> None:
         self._solvers, self.dirt = solvers, solvers.checking
         self.loss = None if self._command_timeout is None else CommandLoss(self.dirt, self._command_timeout)
-        assert self.dirt.goal is not None, "a task has a goal"
-        self._goal = self.dirt.goal
         self._delta = self.dirt.safety.delta
 
     def propose(self, number: int, root: Floats, previous: Plan | None) -> Proposal:
@@ -148,11 +146,11 @@ class Proposer:
             previous: plan that is executed until then; its remainder is retained.
         """
         began, settings = clock.perf_counter(), self._settings
-        region = goal_region(self._goal, self.dirt.vehicle, root)
+        region = goal_region(self._solvers.goal, self.dirt.vehicle, root)
         for dirt in (self._solvers.planning, self._solvers.checking):
             dirt.set_goal_region(*region)
         if settings.type == "geodesic":
-            proposal = self._propose_geodesic(root, drives=previous is not None)
+            proposal = self._propose_geodesic(root, drives=previous is not None or number == 0)
         else:
             query = _Query(number, root, self._remainder(previous), began)
             proposal = self._propose_in_turn(query) if settings.bound is None else self._propose_at_levels(query)
@@ -287,7 +285,9 @@ class Proposer:
         Whether the controller finds a safe way is known only when the replanner predicts it.
         """
         dirt, levels = self.dirt, self._levels
-        if self._settings.bound is not None:
+        if self._settings.bound is None:
+            dirt.set_delta(self._delta)  # the replanner lowers it for a vehicle that stands with less
+        else:
             levels.drive_on(drives and levels.gets_on)
             levels.require()
         plan = geodesic_plan(dirt, root)

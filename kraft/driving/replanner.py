@@ -114,6 +114,7 @@ class Replanner:
             self._model = model_of(self.dirt.vehicle)
             self._ranking = ContingencyRanking(self.dirt, self._predict, self._model)
         self._calibration = BoundCalibration(settings.bound, self.dirt.vehicle) if settings.bound else None
+        self._calibrated = math.nan  # time at which the motion was decided that the bound is calibrated with (s)
         self._bound: DeviationBound | None = None
         self._delta = self.dirt.safety.delta
         self._one_shot = settings.mode == "one-shot"
@@ -200,7 +201,7 @@ class Replanner:
             self._solvers.set_parameters(estimate.parameters)
             if self._model is not None:
                 self._model.set_parameters(estimate.parameters)
-        self._calibrate(estimate)
+        self._calibrate(estimate, current)
         held = self._look_for_blockage(estimate, current)
         cycle_start = self._number * self._settings.cycle + self._cycle_offset
         if self._stands(estimate, current):
@@ -212,6 +213,7 @@ class Replanner:
         cycle = replace(self._record(decision, cycle_start, estimate), held=held)
         if self._calibration is not None and estimate.uncertainty is not None:
             self._calibration.committed(cycle.predicted, estimate.uncertainty)
+            self._calibrated = estimate.time
         self._in_transit.append((cycle_start, cycle.commitment))
         self._number += 1
         self._decision = decision
@@ -261,10 +263,14 @@ class Replanner:
         self._proposer = self._propose_with(solvers)
         self._use(solvers)
 
-    def _calibrate(self, estimate: Estimate) -> None:
-        """Compare the last prediction with the estimate, and set the bound for this cycle."""
+    def _calibrate(self, estimate: Estimate, current: Commitment) -> None:
+        """Compare the last prediction with the estimate, and set the bound for this cycle.
+
+        The car drives something else than predicted if the message was lost or the watchdog stopped it.
+        """
         if self._calibration is not None and estimate.uncertainty is not None:
-            self._calibration.observe(estimate.time, estimate.state)
+            if abs(current.decided - self._calibrated) < 1e-9:
+                self._calibration.observe(estimate.time, estimate.state)
             self._set_bound(self._calibration.bound(estimate.uncertainty))
 
     def _set_bound(self, bound: DeviationBound) -> None:
@@ -346,23 +352,24 @@ class Replanner:
             return Decision(reference, predicted, "", plan)
         if self._proposer.loss is not None and self._proposer.loss.slack(predicted) < 0.0:
             return NO_ROOM
-        stop, stopping = self._contingency_after(reference, predicted.final_state, cycle_end)
+        stop, stopping = self._contingency_after(reference, predicted.final_state, cycle_start)
         if stop is None:
             return "no manoeuvre stops safely after the plan"
         return Decision(reference, predicted, "", plan, stop, stopping=stopping)
 
     def _contingency_after(
-        self, plan: Reference, state: Floats, time: float
+        self, plan: Reference, state: Floats, cycle_start: float
     ) -> tuple[Reference | None, PredictedMotion | None]:
-        """Contingency where the next cycle will begin, and its motion if that is predicted; None if none is safe."""
+        """Contingency from `state` (nx,) at the cycle's end, and its motion if predicted; None if none is safe."""
+        time = cycle_start + self._settings.cycle
         if self._ranking is not None:
-            best = self._ranking.best(state, time, None, [plan])
+            best = self._ranking.best(state, time, None, [plan], cycle_start)
             return (best.reference, best.predicted) if best.is_verified else (None, None)
         safe = self.dirt.contingency(state, time)  # Alg. 2
         if safe is None:
             return None, None
         contingency = contingency_reference(self.dirt.vehicle, safe)
-        return contingency, self._predict.until_rest(state, time, contingency) if self._switches else None
+        return contingency, self._predict.until_rest(state, time, contingency, cycle_start) if self._switches else None
 
     @property
     def _switches(self) -> bool:
@@ -391,7 +398,7 @@ class Replanner:
         else:
             reference, origin = emergency_reference(self.dirt, root, cycle_start), ContingencyOrigin.EMERGENCY
         predicted = self._predict(root, cycle_start, cycle_end, Commitment(reference))
-        stopping = self._predict.until_rest(root, cycle_start, reference) if self._switches else None
+        stopping = self._predict.until_rest(root, cycle_start, reference, cycle_start) if self._switches else None
         return Decision(reference, predicted, reason, None, reference, origin, stopping)
 
     def _stand(self, root: Floats, cycle_start: float, current: Commitment, reason: str) -> Decision:
@@ -413,7 +420,7 @@ class Replanner:
         plans = [current.reference] if current.reference.kind is ReferenceKind.PLAN else []
         if self._proposal.plan is not None:
             plans.append(plan_reference(self.dirt.vehicle, self._proposal.plan, time))
-        return ranking.best(root, time, stored, plans)
+        return ranking.best(root, time, stored, plans, time)
 
     def _is_near(self, root: Floats, expected: Floats) -> bool:
         """Whether no point of the vehicle is farther than 2 delta(v) from the state that a manoeuvre was verified for.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -42,6 +42,12 @@ class Solvers:
     checking: DirtSolver
     origin: tuple[Task, Vehicle] | None = None
     """task and vehicle that they were made for"""
+    goal: Goal = field(init=False)
+    """the whole region that a method aims for; queries aim for parts of it"""
+
+    def __post_init__(self) -> None:
+        assert self.checking.goal is not None, "a task has a goal"
+        object.__setattr__(self, "goal", self.checking.goal)
 
     @classmethod
     def of(cls, task: Task, vehicle: Vehicle, settings: PlannerSettings, more: tuple[Obstacle, ...] = ()) -> Solvers:

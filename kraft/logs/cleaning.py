@@ -68,6 +68,7 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
     _check_number(poses, "has an orientation in only")
     check_units(streams, poses, xyyaw, findings)
     poses, xyyaw = _without_zeros(poses, xyyaw, limits, findings)
+    _check_number(poses, "without the zeros before the first pose, there are only")
     streams = tuple(_sent(samples, poses.times, xyyaw, findings) for samples in streams)
     commands = merge_commands(streams, controls, limits)
     _check_overlap(commands, poses, choice)

@@ -77,7 +77,9 @@ def discover(
     for path in paths:
         try:
             if path.is_dir():
-                found += _nonempty(path, controls, mapping)
+                inside, unread = _nonempty(path, controls, mapping)
+                found += inside
+                problems += unread
             else:
                 _check_file(path)
                 loose.setdefault((path.parent, given[path]), []).append(path)
@@ -85,7 +87,7 @@ def discover(
         except InputError as error:
             problems += error.diagnostics
         except OSError as error:
-            problems.append(Diagnostic(str(path), f"cannot be read: {error.strerror}", FORMATS, code=Code.UNREADABLE))
+            problems.append(unreadable(path, error))
     for (
         folder,
         _,
@@ -125,18 +127,28 @@ def _check_file(path: Path) -> None:
         raise InputError.of(str(path), "is not a log that kraft reads", FORMATS, Code.MISMATCH)
 
 
-def _nonempty(folder: Path, controls: Sequence[str], mapping: Mapping) -> list[Candidate]:
-    found = _scan(folder, folder, controls, mapping, 0)
-    if not found:
+def unreadable(path: Path, error: OSError) -> Diagnostic:
+    """The problem of a file or folder that cannot be read."""
+    return Diagnostic(str(path), f"cannot be read: {error.strerror}", FORMATS, code=Code.UNREADABLE)
+
+
+def _nonempty(folder: Path, controls: Sequence[str], mapping: Mapping) -> tuple[list[Candidate], list[Diagnostic]]:
+    """Logs of a folder, and the problems of its subfolders that cannot be read."""
+    problems: list[Diagnostic] = []
+    found = _scan(folder, folder, controls, mapping, 0, problems)
+    if not found and not problems:
         names = sorted(path.name for path in folder.iterdir())
         content = (
             f"holds no logs, only {', '.join(names[:5])}{', ...' if len(names) > 5 else ''}" if names else "is empty"
         )
         raise InputError.of(str(folder), content, FORMATS, Code.NOT_FOUND)
-    return found
+    return found, problems
 
 
-def _scan(folder: Path, root: Path, controls: Sequence[str], mapping: Mapping, depth: int) -> list[Candidate]:
+def _scan(
+    folder: Path, root: Path, controls: Sequence[str], mapping: Mapping, depth: int, problems: list[Diagnostic]
+) -> list[Candidate]:
+    """Logs of a folder and its subfolders; those of these that cannot be read are added to the problems."""
     name = folder.name if folder == root else folder.relative_to(root).as_posix()
     entries = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
     names = {path.name for path in entries}
@@ -151,7 +163,10 @@ def _scan(folder: Path, root: Path, controls: Sequence[str], mapping: Mapping, d
         found = [Candidate(name, "csv", found[0].files)]
     for child in entries if depth < _DEPTH else ():
         if child.is_dir():
-            found += _scan(child, root, controls, mapping, depth + 1)
+            try:
+                found += _scan(child, root, controls, mapping, depth + 1, problems)
+            except OSError as error:
+                problems.append(unreadable(child, error))
     return found
 
 

@@ -75,7 +75,7 @@ def merge_commands(streams: Sequence[Samples], controls: Sequence[str], limits: 
 
 def masked(commands: HeldCommands, columns: Sequence[int], intervals: Array) -> HeldCommands:
     """Commands whose `columns` are 0 outside of `intervals`, shape (k, 2), s."""
-    edges = intervals[(intervals > commands.times[0]) & (intervals <= commands.times[-1])]
+    edges = intervals[(intervals > commands.times[0]) & np.isfinite(intervals)]
     times = np.union1d(commands.times, edges)
     index = np.searchsorted(commands.times, times, side="right") - 1
     values, until = commands.values[index].copy(), commands.until[index]

@@ -152,7 +152,7 @@ def _near_miss(role: str, names: Sequence[str]) -> str | None:
 def _clock_unit(values: np.ndarray) -> tuple[Unit, str]:
     """Unit of stamps since 1970, by their magnitude; smaller numbers are seconds."""
     finite = values[np.isfinite(values)]
-    size = float(np.max(np.abs(finite))) if len(finite) else 0.0
+    size = float(np.median(np.abs(finite))) if len(finite) else 0.0  # a single stamp may be damaged
     for least, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms")):
         if size > least:
             return unit, "by their size"  # type: ignore[return-value]

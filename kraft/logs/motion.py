@@ -15,7 +15,7 @@ import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.log import Array, Findings
-from kraft.logs.names import FACTOR
+from kraft.logs.names import ALLOWED, FACTOR
 from kraft.logs.samples import Samples
 from kraft.logs.streams import Channel
 from kraft.logs.table import Flags, Rows
@@ -194,8 +194,8 @@ def stale(times: Array, poses: Array) -> Flags:
 
 SPEED_MAX: Final = 30.0
 """Speed above which positions are not in metres, m/s; logs are of small vehicles."""
-POSE_INTERVAL_MAX: Final = 2.0
-"""Time between poses above which stamps are not in seconds, s."""
+POSE_INTERVAL_MIN, POSE_INTERVAL_MAX = 1e-5, 2.0
+"""Usual time between poses beyond which stamps are in another unit, or show no motion, s."""
 STEERING_MAX: Final = 1.6
 """Steering command above which it is no angle in radians, a little more than a right angle."""
 SIDEWAYS_MIN: Final = 1.2
@@ -254,8 +254,9 @@ def check_units(commands: tuple[Samples, ...], poses: Samples, xyyaw: Array, fin
 
 
 def in_mapping(channel: Channel, key: str, unit: str) -> str:
-    """How to state a unit in the mapping file, for a message."""
-    return f"write {key}: {{column: {channel.column!r}, unit: {unit}}} into a mapping file, or name the column so"
+    """How to state a unit in the mapping file, or in the name of a column that states none, for a message."""
+    written = f"write {key}: {{column: {channel.column!r}, unit: {unit}}} into a mapping file"
+    return written if channel.stated else f"{written}, or name the column so ({channel.column}_{unit})"
 
 
 def _clock(poses: Samples, commands: tuple[Samples, ...]) -> list[Diagnostic]:
@@ -263,12 +264,16 @@ def _clock(poses: Samples, commands: tuple[Samples, ...]) -> list[Diagnostic]:
     if len(poses) < 3:
         return []
     step = float(np.median(np.diff(poses.times)))
-    if POSE_INTERVAL_MAX > step > 1e-5:
+    if POSE_INTERVAL_MAX > step > POSE_INTERVAL_MIN:
         return []
     problem = f"{time.column!r} in {time.unit} means a pose every {step:.4g} s"
-    shared = any(s.stream.table is poses.stream.table and s.stream.time.column == time.column for s in commands)
-    both = ", and the same for commands.time" if shared else ""
-    expected = f"expected seconds; {in_mapping(time, 'poses.time', 'ms')} ({time.column}_ms){both}"
+    others = [unit for unit in ALLOWED["time"]
+              if POSE_INTERVAL_MAX > step * FACTOR[unit] / FACTOR[time.unit] > POSE_INTERVAL_MIN]  # fmt: skip
+    expected = f"expected one every {POSE_INTERVAL_MIN:g} to {POSE_INTERVAL_MAX:g} s"
+    if others and not (time.place is not None and time.stated):
+        shared = any(s.stream.table is poses.stream.table and s.stream.time.column == time.column for s in commands)
+        both = ", and the same for commands.time" if shared else ""
+        expected += f"; {in_mapping(time, 'poses.time', others[0])}{both}"
     return [poses.diagnostic(problem, expected)]
 
 
@@ -288,7 +293,7 @@ def _steering(samples: Samples) -> list[tuple[Diagnostic, Channel]]:
         largest = int(np.argmax(np.abs(values)))
         if assumed_radians(channel) and abs(values[largest]) > STEERING_MAX:
             problem = f"{channel.column!r} reaches {values[largest]:g}: degrees, where radians are expected"
-            expected = in_mapping(channel, f"commands.controls.{channel.role}", "deg") + f" ({channel.column}_deg)"
+            expected = in_mapping(channel, f"commands.controls.{channel.role}", "deg")
             found.append((samples.diagnostic(problem, expected, largest), channel))
     return found
 
@@ -298,7 +303,7 @@ def _lengths(poses: Samples, path: Chords) -> list[Diagnostic]:
         return []
     x, y = poses.stream.channels[:2]
     problem = f"{x.column!r} and {y.column!r} in {x.unit} mean a speed of {np.median(path.speeds):.3g} m/s"
-    return [poses.diagnostic(problem, f"expected metres; {in_mapping(x, 'poses.x', 'mm')} ({x.column}_mm), and y too")]
+    return [poses.diagnostic(problem, f"expected metres; {in_mapping(x, 'poses.x', 'mm')}, and y too")]
 
 
 def _yaw(poses: Samples, path: Chords, yaw: Array) -> list[tuple[Diagnostic, Channel]]:
@@ -311,7 +316,7 @@ def _yaw(poses: Samples, path: Chords, yaw: Array) -> list[tuple[Diagnostic, Cha
         return []
     worst = int(np.argmax(np.abs(yaw)))
     problem = f"{channel.column!r} reaches {yaw[worst]:g}: degrees, where radians are expected"
-    expected = in_mapping(channel, "poses.yaw", "deg") + f" ({channel.column}_deg)"
+    expected = in_mapping(channel, "poses.yaw", "deg")
     return [(poses.diagnostic(problem, expected, worst), channel)]
 
 

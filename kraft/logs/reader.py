@@ -14,7 +14,7 @@ import numpy as np
 from kraft.config.source import KeyPath
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.cleaning import clean
-from kraft.logs.discover import FORMATS, Candidate, discover
+from kraft.logs.discover import FORMATS, GUARD, Candidate, discover, unreadable
 from kraft.logs.guess import choose, unknown_controls
 from kraft.logs.log import Log, LogSet, Source
 from kraft.logs.mapping import Column, Control, Mapping
@@ -66,8 +66,8 @@ def read_logs(
     for candidate in candidates:
         try:
             sources, found = _tables(candidate, stated)
-        except InputError as error:
-            problems += error.diagnostics
+        except (InputError, OSError) as error:
+            problems += error.diagnostics if isinstance(error, InputError) else [unreadable(candidate.place, error)]
             unread += 1
             continue
         tables += map(heading, found)
@@ -94,14 +94,24 @@ def read_logs(
 
 def _common(candidates: Sequence[Candidate]) -> str:
     """The common folder of the logs, or the only log."""
-    return os.path.commonpath([candidate.place for candidate in candidates]) or "."
+    places = [candidate.place for candidate in candidates]
+    if len({place.is_absolute() for place in places}) > 1:
+        places = [place.absolute() for place in places]
+    return os.path.commonpath(places) or "."
 
 
 def _tables(candidate: Candidate, mapping: Mapping) -> tuple[list[Source], list[Table]]:
     if candidate.kind == "bag":
         return _bag(candidate.files[0], mapping)
-    sources, tables = _csv_files(candidate.files)
+    # a drive that was killed may leave a file of the guard with its heading alone
+    files = [path for path in candidate.files if path.name != GUARD or _has_rows(path)]
+    sources, tables = _csv_files(files)
     return sources, _of_run(tables) if candidate.kind == "run" else tables
+
+
+def _has_rows(path: Path) -> bool:
+    with path.open("rb") as file:
+        return bool(file.readline() and file.readline())
 
 
 def _read(
@@ -125,9 +135,7 @@ def _csv_files(files: Iterable[Path]) -> tuple[list[Source], list[Table]]:
         try:
             content = path.read_bytes()
         except OSError as error:
-            raise InputError.of(
-                str(path), f"cannot be read: {error.strerror}", "expected a CSV file", Code.UNREADABLE
-            ) from error
+            raise InputError([unreadable(path, error)]) from error
         sources.append(Source(str(path), hashlib.sha256(content).hexdigest()))
         tables.append(read_csv(path, content))
     return sources, tables

@@ -89,22 +89,24 @@ def _numbers(samples: Samples, findings: Findings) -> Samples:
 
 
 def _forward(samples: Samples, findings: Findings, rows: str) -> Samples:
-    times = samples.times
-    before = np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]])
-    backward, twice = times < before, times == before
-    if backward.any():
-        first, bad = int(np.argmax(backward)), int(np.sum(backward))
-        fact = f"time runs backwards in {bad} of {len(samples)} {rows}"
-        if bad > max(1.0, BACKWARD_MAX * len(samples)):
-            step = times[first] - times[first - 1]
-            raise samples.refuse(
-                f"{fact}, first by {-step:.6g} s",
-                "expected ascending time stamps; put each recording into a file of its own",
-                first,
-            )
+    times, few = samples.times, max(1.0, BACKWARD_MAX * len(samples))
+    wrong: Flags = times < np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]])
+    ahead: Flags = times > np.concatenate([np.minimum.accumulate(times[::-1])[::-1][1:], [np.inf]])
+    if wrong.any():
+        how, first = "runs backwards", int(np.argmax(wrong))
+        by = times[first - 1] - times[first]
+        if ahead.sum() < wrong.sum() and ahead.sum() <= few:  # a damaged stamp, after which all others seem to go back
+            how, wrong, first = "jumps ahead and back", ahead, int(np.argmax(ahead))
+        bad = int(np.sum(wrong))
+        fact = f"time {how} in {bad} of {len(samples)} {rows}"
+        if bad > few:
+            expected = "expected ascending time stamps; put each recording into a file of its own"
+            raise samples.refuse(f"{fact}, first by {by:.6g} s", expected, first)
         findings.add("backward", bad, f"{fact}, first in {samples.where(first)}; left out")
+        samples = samples.keep(~wrong)
+    twice = np.diff(samples.times, prepend=-np.inf) <= 0.0
     if twice.any():
         first, bad = int(np.argmax(twice)), int(np.sum(twice))
-        fact = f"{bad} of {len(samples)} {rows} have the time stamp of the one before"
+        fact = f"{bad} of {len(times)} {rows} have the time stamp of the one before"
         findings.add("duplicate", bad, f"{fact}, first in {samples.where(first)}; left out")
-    return samples.keep(~backward & ~twice)
+    return samples.keep(~twice)

@@ -104,10 +104,12 @@ def _any_table(file: str, names: Sequence[str], separator: str, lines: list[str]
         fields = row
         while len(fields) > len(names) and not fields[-1].strip():
             fields = fields[:-1]
+        if not any(text.strip() for text in fields) or fields[0].startswith("#"):
+            continue
         if len(fields) == len(names):
             rows.append(fields)
             numbers.append(number)
-        elif any(text.strip() for text in fields) and not fields[0].startswith("#"):
+        else:
             broken.append(number)
     if not rows:
         expected = f"expected {len(names)} fields, as in its heading"

@@ -27,6 +27,8 @@ from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan, TreeView
 from ompl_ext.poses import pose_of
+from ompl_ext.problem import settings_for
+from ompl_ext.query import Settings
 from ompl_ext.query_tree import Progress
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
@@ -49,6 +51,7 @@ class PlanResult:
             contingency.
         reason: why no plan reaches the goal; empty if one does.
         budget: budget of the search.
+        settings: of the planner, with those that it chose for the start and the goal.
         seed: of the random generator.
         setup_seconds: clearance field, cost-to-go, loading the compiled kernels.
         verify_seconds: verification.
@@ -61,6 +64,7 @@ class PlanResult:
     verification: Verification | None
     reason: str
     budget: Budget
+    settings: Settings
     seed: int
     setup_seconds: float
     verify_seconds: float
@@ -132,8 +136,9 @@ def plan_task(
     plan, unfit = _accepted(found, verification, seed)
     reason = reason or unfit or _failure_reason(task, vehicle, plan, found.progress)
     judged = verification if plan is not None else None
+    used = settings_for(settings, vehicle, dirt.goal)
     return PlanResult(
-        plan, dirt.tree(), found.progress, judged, reason, budget, seed, setup_seconds, verify_seconds, threads
+        plan, dirt.tree(), found.progress, judged, reason, budget, used, seed, setup_seconds, verify_seconds, threads
     )
 
 
@@ -150,8 +155,8 @@ def finds_plan(task: Task, vehicle: Vehicle, iterations: int, seed: int = 0) -> 
         Defect: if the plan fails verification.
     """
     state = start_state(task, vehicle)
-    workspace, safety, settings = workspace_of(task, vehicle), safety_of_task(task), settings_of(task, vehicle)
-    dirt = DirtSolver(vehicle, workspace, goal_of(task), safety, settings)
+    settings = replace(settings_of(task, vehicle), polish=False)  # the first plan counts, however long it is
+    dirt = DirtSolver(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings)
     if _infeasible_start(dirt, state, dirt.start(state, seed)):
         return False
     dirt.grow(iterations=iterations, stop=lambda: bool(dirt.progress.history))

@@ -26,7 +26,6 @@ from kraft.errors import Code, InputError
 from kraft.files import check_writable, write_whole
 from kraft.planning.plan import PlanResult
 from kraft.planning.search import Previous
-from kraft.planning.workspace import settings_of
 from kraft.provenance import PLANNING, plain_hash, versions
 from kraft.scenario import Task
 from kraft.text import counted, finite
@@ -101,7 +100,7 @@ def plan_text(task: Task, vehicle: Vehicle, result: PlanResult, origin: Origin) 
         "seed": result.seed,
         **({"threads": result.threads} if result.threads > 1 else {}),
         "iterations": result.progress.iterations,
-        "settings": {**asdict(settings_of(task, vehicle)), **_planning(task)},
+        "settings": {**asdict(result.settings), **_planning(task)},
         "from": _previous(origin.previous),
         "goal": _goal(task, plan),
         "cost": plan.cost,

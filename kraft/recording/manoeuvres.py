@@ -164,6 +164,9 @@ def read_commands(path: Path, limits: Mapping[str, tuple[float, float]]) -> Mano
     ]
     if missing:
         raise InputError(missing)
+    if table.broken:
+        problem, expected = "has another number of fields than the heading", "expected a number in every column"
+        raise InputError([Diagnostic(str(path), problem, expected, table.broken[0], code=Code.SYNTAX)])
     times, controls = table.columns["t"], np.column_stack([table.columns[name] for name in limits])
     checks = [
         (~np.isfinite(times), "t is not a number", "expected a time in s"),

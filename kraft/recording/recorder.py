@@ -193,7 +193,7 @@ class Recorder:
             problem = f"has no free space for a run of {SHORTEST:g} s (manoeuvre {commanded.name!r})"
             expected = "expected more free floor, as in the scenario training"
             raise InputError.of(name, problem, expected, Code.GEOMETRY)
-        self._world.reset(place.start)
+        self._world.reset(place.start, number)
         seed = int(generator.integers(2**62))
         plant = Plant(self._world, self._scenario, self._model.vehicle.controls, seed, COMMAND_RATE)
         return _Run(plant, self._free_space, commanded, place, self._vehicle).drive(number)
@@ -306,7 +306,7 @@ def _manifest(scenario: Scenario, arguments: Mapping[str, Any], recording: Recor
         "vehicle": recording.vehicle.model_dump(mode="json", exclude_none=True),
         "commands": len(recording.commands),
         "poses": len(recording.poses),
-        "units": UNITS,
+        "units": {name: unit for name, unit in UNITS.items() if name in (*POSES, *TRUTH, *recording.controls)},
         "clock": "both files count from the beginning of the run; a pose carries the time its frame was taken",
         "scenario": {"sha256": plain_hash(described), "content": described},
         "versions": versions(SIMULATION),

@@ -97,6 +97,11 @@ class CarDesign:
         x = self.wheelbase / 2 if name in STEERED else -self.wheelbase / 2
         return x, self.track / 2 if name.endswith("left") else -self.track / 2, self.wheel_radius
 
+    @property
+    def sharpest_radius(self) -> float:
+        """Radius of the sharpest turn of the rear axle's middle, m; negative if wheels turn by more than 90 degrees."""
+        return self.wheelbase / math.tan(self.linkage * self.steering_max)
+
     def sag(self, gap: VehicleGap) -> float:
         """Suspension sag relative to the car without `gap`, m."""
         return (gap.mass_scale - 1.0) * self.chassis_mass * GRAVITY / 4 / self.stiffness

@@ -21,7 +21,7 @@ from kraft.planning.workspace import planar_obstacle
 from kraft.scenario import Scenario, Start
 from kraft.scenario.truth import Truth, VehicleGap
 from kraft.simulation import contacts
-from kraft.simulation.car import CAR, MARKER_HEIGHT, design_of
+from kraft.simulation.car import CAR, MARKER_HEIGHT, CarDesign, design_of
 from kraft.simulation.contacts import Collision
 from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_rotation
 from kraft.simulation.robots import MjcfRobot, SimulatedCar, mjcf_robot
@@ -104,8 +104,8 @@ class TrueWorld(Protocol):
     def in_goal(self) -> bool:
         """Whether the true state is in the goal region: position, and what else the goal bounds."""
 
-    def reset(self, start: Start | None = None) -> None:
-        """Return to time 0 and to `start`, the scenario's if None."""
+    def reset(self, start: Start | None = None, run: int | None = None) -> None:
+        """Return to time 0 and to `start`, the scenario's if None; noise of the world is that of the run's number."""
 
     def apply(self, control: Floats) -> None:
         """Hold a control, in the order of `controls`, from now on."""
@@ -147,15 +147,14 @@ def world_of(scenario: Scenario, vehicle: Vehicle, seed: int) -> World | ModelWo
     """
     true = true_robot(scenario, vehicle)
     if true.robot.kind == "car":
-        _check_controls(vehicle, CAR_CONTROLS, true)
-        return World(scenario, SimulatedCar(design_of(true.robot.car or CarDimensions())))
+        return World(scenario, SimulatedCar(_car(vehicle, true)))
     if true.robot.kind == "mjcf":
         return _mjcf_world(scenario, vehicle, true)
     return ModelWorld(scenario, _true_model(scenario, vehicle, true), true.robot.process_noise, seed)
 
 
 def check_world(scenario: Scenario, vehicle: Vehicle) -> None:
-    """Check what `world_of` checks, without compiling a model.
+    """Check what `world_of` checks, without compiling the equations of a vehicle.
 
     Raises:
         InputError: as `world_of`.
@@ -175,11 +174,23 @@ def check_own_truth(vehicle: Vehicle) -> None:
     """
     true = TrueRobot(*natural_robot(vehicle))
     if true.robot.kind == "car":
-        _check_controls(vehicle, CAR_CONTROLS, true)
+        _car(vehicle, true)
     elif true.robot.kind == "mjcf":
         _mjcf(vehicle, true)
     else:
         _check_controls(vehicle, tuple(_with_true_parameters(vehicle, true).controls), true)
+
+
+def _car(vehicle: Vehicle, true: TrueRobot) -> CarDesign:
+    """Design of a simulated car, which turns about points beside it."""
+    _check_controls(vehicle, CAR_CONTROLS, true)
+    design = design_of(true.robot.car or CarDimensions())
+    if not design.sharpest_radius > design.track / 2:
+        angle = math.degrees(design.linkage * design.steering_max)
+        problem = f"turns its wheels by up to {angle:.0f} degrees, about a point between those of the rear axle"
+        expected = "expected a smaller servo.angle_max_deg, servo.linkage or track, or a longer wheelbase"
+        raise InputError([true.problem("car", problem, expected, Code.GEOMETRY)])
+    return design
 
 
 def _mjcf(vehicle: Vehicle, true: TrueRobot) -> MjcfRobot:
@@ -321,13 +332,14 @@ class ModelWorld:
         self._obstacles = _Obstacles(scenario, vehicle)
         self.reset()
 
-    def reset(self, start: Start | None = None) -> None:
-        """Return to time 0 and to `start` (the scenario's if None), with zero controls."""
+    def reset(self, start: Start | None = None, run: int | None = None) -> None:
+        """Return to time 0 and to `start` (the scenario's if None), with zero controls and the noise of a run."""
         start = self._scenario.start if start is None else start
         self._state = np.zeros(len(self.truth.state))
         self._state[self._pose] = start.x, start.y, start.heading
         self._state[self._velocities[0]] = start.speed
-        self._generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([self._seed, 0x4015E])))
+        numbers = [self._seed, 0x4015E] if run is None else [self._seed, run, 0x4015E]
+        self._generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(numbers)))
         self._steps = 0
         self.apply(np.zeros(len(self.controls)))
         self._obstacles.forget()

@@ -67,8 +67,8 @@ class World:
         self.reset()
         self._check_start(scenario)
 
-    def reset(self, start: Start | None = None) -> None:
-        """Return to time 0 and to `start` (the scenario's if None), with zero controls."""
+    def reset(self, start: Start | None = None, run: int | None = None) -> None:
+        """Return to time 0 and to `start` (the scenario's if None), with zero controls; runs have no noise."""
         if self._following > 1:
             self._set_state(0)
         mujoco.mj_resetData(self.model, self.data)

@@ -185,7 +185,7 @@ def read_occupancy(path: Path, out: Path, vehicle: str, start: Start, goal: Goal
         content={
             "bounds": bounds,
             "obstacles": [
-                {"name": "map", "map": {"file": os.path.relpath(path.absolute(), out.absolute())}},
+                {"name": "map", "map": {"file": os.path.relpath(os.path.realpath(path), os.path.realpath(out))}},
                 *outside,
             ],
             "start": {"x": start[0], "y": start[1], "heading_deg": start[2]},
@@ -319,6 +319,10 @@ def read_dynobench(path: Path, vehicle: str | None, *, skip: bool = False) -> Im
         given = "" if robot.type in OTHERS else ", or that a vehicle is given"
         expected = f"expected {alternatives(VEHICLES)}{given}"
         problems.append(source.diagnostic(("robots", 0, "type"), problem, expected, code=Code.UNKNOWN))
+    if robot.type in VEHICLES and len(robot.start) > 4 and robot.start[4] != 0.0:
+        problem = f"is {robot.start[4]:g}: the robot turns at the start"
+        expected = "expected 0 rad/s, since scenarios begin with position, heading and speed"
+        problems.append(source.diagnostic(("robots", 0, "start", 4), problem, expected, code=Code.VALUE))
     obstacles = _obstacles(content.environment, source, problems)
     if problems:
         raise InputError(problems)

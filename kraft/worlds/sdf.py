@@ -226,7 +226,14 @@ class _Reader:
             if frame := pose.attributes.get(key):
                 self.problem(pose, f"is relative to {frame!r}", "expected a pose in its parent", Code.UNKNOWN)
                 return ORIGIN
-        x, y, z, roll, pitch, yaw = self.read(pose, 6)
+        rotation = pose.attributes.get("rotation_format", "euler_rpy")
+        if rotation != "euler_rpy":
+            self.problem(pose, f"has the rotation format {rotation!r}", "expected euler_rpy", Code.UNKNOWN)
+            return ORIGIN
+        x, y, z, *angles = self.read(pose, 6)
+        if pose.attributes.get("degrees", "").strip().lower() in ("true", "1"):
+            angles = [math.radians(angle) for angle in angles]
+        roll, pitch, yaw = angles
         return x, y, z, roll, pitch, yaw
 
     def numbers(self, element: Element, tag: str, count: int) -> list[float]:

@@ -289,3 +289,20 @@ def test_without_uncertainty_a_bound_would_ask_for_nothing() -> None:
     subject = replanner(bound=SHARES, iterations=100)
     cycle = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
     assert cycle.predicted.delta == pytest.approx(np.zeros(len(cycle.predicted.times)))
+
+
+def test_a_motion_whose_message_was_lost_calibrates_nothing() -> None:
+    """The car did something else than was predicted of the motion that did not arrive."""
+    factors = []
+    for lost in (False, True):
+        subject = replanner(bound=SETTINGS)
+        current = subject.begin(start(), uncertainty())
+        cycle = subject.step(Estimate(0.0, start(), 0.0, None, uncertainty()), current)
+        assert subject._calibration is not None
+        before = subject._calibration.factor
+        elsewhere = cycle.predicted.states[-1] + np.array([0.0, 0.3, 0.0, 0.0])
+        estimate = Estimate(float(cycle.predicted.times[-1]) - 0.1, elsewhere, 0.0, None, uncertainty())
+        subject.decide(estimate, current if lost else cycle.commitment)
+        factors.append(subject._calibration.factor / before)
+    assert factors[0] > 1.0
+    assert factors[1] == 1.0

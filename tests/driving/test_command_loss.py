@@ -181,3 +181,13 @@ def test_a_plan_that_leaves_no_room_is_driven_more_slowly() -> None:
         fastest[limit] = max(float(cycle.predicted.states[:, 3].max()) for cycle in cycles)
     assert fastest[0.3] <= 0.3
     assert fastest[9.0] > 0.4
+
+
+def test_a_plan_without_edges_cannot_be_slowed() -> None:
+    solvers = Solvers.of(turns(), load_vehicle("mushr-drive"), PlannerSettings(mode="replanning"))
+    root = start_state(turns(), load_vehicle("mushr-drive"))
+    none = Plan(
+        controls=np.zeros((0, 2)), durations=np.zeros(0), states=root[None, :], times=np.zeros(1),
+        trajectory=root[None, :], cost=0.0, cost_to_go=0.0, reaches_goal=True, contingency=None,
+    )  # fmt: skip
+    assert slower(solvers, none) == []

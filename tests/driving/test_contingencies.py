@@ -58,7 +58,7 @@ def test_the_best_is_committed_whatever_its_origin(state: Floats, monkeypatch: p
     found = subject()
     plan = plan_from(found, state)
     plans = [] if plan is None else [plan]
-    best = ranking(found).best(state, 2.0, None, plans)
+    best = ranking(found).best(state, 2.0, None, plans, 2.0)
     each = all_tracked(found, state, None, plans)
     assert len(each) >= 5
     assert best.is_verified == any(one.is_verified for one in each)
@@ -94,7 +94,7 @@ def test_the_compiled_closed_loop_is_that_of_the_controller_tick_by_tick(state: 
         assert np.array_equal(one.states, other.states)
         assert np.array_equal(one.controls, other.controls)
         assert one.slack == other.slack
-    one, other = (each.until_rest(state, 2.3, contingency) for each in (predict, slowly))
+    one, other = (each.until_rest(state, 2.3, contingency, 2.0) for each in (predict, slowly))
     assert np.array_equal(one.times, other.times)
     assert np.array_equal(one.states, other.states)
     assert one.slack == other.slack
@@ -103,13 +103,38 @@ def test_the_compiled_closed_loop_is_that_of_the_controller_tick_by_tick(state: 
 def test_what_is_verified_keeps_the_clearance_until_standstill() -> None:
     found, verified = subject(), 0
     for state in STATES:
-        best = ranking(found).best(state, 2.0, None, [])
+        best = ranking(found).best(state, 2.0, None, [], 2.0)
         if best.is_verified:
             verified += 1
             exact = found.dirt.exact.distances(best.predicted.states[:, :3])
             assert (exact - required_clearance(found.dirt, best.predicted.states)).min() >= -1e-6
             assert abs(best.predicted.final_state[3]) <= found.dirt.safety.rest_speed
     assert verified > 0
+
+
+@pytest.mark.parametrize("begun", [0.0, 0.25, 1.0])
+def test_the_clearance_of_a_contingency_grows_from_the_beginning_of_the_cycle_on(begun: float) -> None:
+    """What is verified keeps the grown clearance, and a growth that leaves no room refuses it, as SAFETY does."""
+    found, state = subject(), STATES[0]
+    contingency = next(ranking(found)._immediate(state, 2.0, None)).reference()
+    slacks = []
+    for growth in (0.0, 0.05, 0.3, 0.6):
+        found.dirt.set_bound(0.02, 0.0, growth, 1.5)
+        motion = found._predict.until_rest(state, 2.0, contingency, 2.0 - begun)
+        exact = found.dirt.exact.distances(motion.states[:, :3])
+        required = 0.02 + growth * np.minimum(motion.times - 2.0 + begun, 1.5)
+        slacks.append(motion.slack)
+        assert motion.slack <= float((exact - required).min()) + 1e-6
+    assert slacks == sorted(slacks, reverse=True)
+    assert slacks[0] > 0.0 > slacks[-1]
+    assert found.dirt.safety.cycle == 1.0
+
+
+def test_a_path_without_length_is_not_followed_at_low_speed() -> None:
+    found, state = subject(), STATES[0]
+    times = np.linspace(2.0, 3.0, 5)
+    turning = Reference(ReferenceKind.PLAN, times, np.tile(state, (5, 1)), np.zeros((4, 2)), np.zeros(2))
+    assert ranking(found)._creeping(state, 2.0, turning) is None
 
 
 def test_a_plan_that_leads_past_an_obstacle_is_followed_before_the_vehicle_stops() -> None:
@@ -120,7 +145,7 @@ def test_a_plan_that_leads_past_an_obstacle_is_followed_before_the_vehicle_stops
             state = np.array([x, 0.4, heading, 0.7])
             plan = plan_from(found, state)
             if plan is not None:
-                best = ranking(found).best(state, 2.0, None, [plan])
+                best = ranking(found).best(state, 2.0, None, [plan], 2.0)
                 origins.add(best.origin)
                 assert best.reference.stop is not None
                 assert best.reference.kind is ReferenceKind.CONTINGENCY
@@ -156,14 +181,14 @@ def test_the_contingency_in_hand_is_kept_where_nothing_else_is_safe() -> None:
     in_hand = contingency_reference(found.dirt.vehicle, safe)
     each = {one.origin for one in all_tracked(found, state, in_hand, [])}
     assert ContingencyOrigin.IN_HAND in each
-    best = ranking(found).best(state, 2.0, in_hand, [])
+    best = ranking(found).best(state, 2.0, in_hand, [], 2.0)
     assert best.rounded_slack >= max(one.rounded_slack for one in all_tracked(found, state, in_hand, [])) - 1
 
 
 def test_a_contingency_without_clearance_is_an_emergency() -> None:
     found = subject()
     into_the_wall = np.array([1.95, 1.0, 0.0, 0.7])
-    best = ranking(found).best(into_the_wall, 2.0, None, [])
+    best = ranking(found).best(into_the_wall, 2.0, None, [], 2.0)
     assert (best.is_verified, best.origin) == (False, ContingencyOrigin.EMERGENCY)
     assert best.impact_speed == min(one.impact_speed for one in all_tracked(found, into_the_wall, None, []))
 

@@ -27,6 +27,7 @@ from kraft.driving.solvers import Solvers, method_safety
 from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
 from ompl_ext.arrays import Floats, Floats32Cube
+from ompl_ext.kernels.costtogo import UNREACHABLE
 from ompl_ext.obstacles import Polygon
 from ompl_ext.poses import pose_of
 
@@ -43,6 +44,13 @@ def solvers() -> Solvers:
 @cache
 def model() -> CarModel:
     return CarModel(mushr())
+
+
+@cache
+def farthest() -> float:
+    """Largest cost-to-go in the map, s."""
+    togo = solvers().checking.problem.togo
+    return float(togo[togo < UNREACHABLE].max())
 
 
 def way(state: Floats) -> Reference:
@@ -93,7 +101,7 @@ def rolled_out(settings: Mppi, start: Floats, nominal: Floats, noise: Floats, pr
         whole = float(dirt.problem.field[row, column]) - mushr().footprint.reach  # of the disc around the body
         clear = max(float(dirt.clearances(np.array([[x, y, theta]]))[0]), whole)
         if clear < 0.0:
-            return cost + settings.collision * (1.0 + (len(nominal) - t) / len(nominal))
+            return cost + (settings.collision + settings.goal * farthest()) * (1.0 + (len(nominal) - t) / len(nominal))
         cost += settings.near * settings.step * max(1.0 - clear / settings.margin, 0.0) ** 2
         cost += settings.goal * settings.step
         if math.dist((x, y), dirt.goal.center) < dirt.problem.scalar[24]:
@@ -368,3 +376,43 @@ def test_the_geodesic_leads_to_the_goal_and_keeps_the_inscribed_disc_free() -> N
     assert plan.trajectory[-1][:2] == pytest.approx(goal.center)
     assert plan.cost * mushr().top_speed == pytest.approx(9.25 * 0.6228, abs=0.3)
     assert not solvers().checking.is_occupied(plan.trajectory[:, :2]).any()
+
+
+@pytest.mark.parametrize("settings", [SMALL, Dwa(kind="dwa")], ids=lambda each: each.kind)
+def test_far_from_the_goal_a_free_way_costs_less_than_a_collision(settings: Mppi | Dwa) -> None:
+    """With 200 s more to go everywhere, a free rollout costs more than what the settings state for a collision."""
+    solver = Solvers.of(turns(), mushr(), GEODESIC).checking
+    togo = solver.problem.togo
+    solver._problem = solver.problem._replace(togo=np.where(togo < UNREACHABLE, togo + 200.0, togo))
+    far, near = (make_controller(settings, model(), each, 1) for each in (solver, solvers().checking))
+    found = [each.command(Estimate(0.0, MOVING, 0.0), way(start())) for each in (far, near)]
+    assert found[0] == pytest.approx(found[1], abs=1e-6)
+
+
+def test_the_first_proposal_of_a_car_that_has_not_driven_keeps_the_whole_bound() -> None:
+    planner = load_method("nmpc").planner
+    assert planner.bound is not None
+    proposer = Proposer(Solvers.of(turns(), mushr(), planner), planner, 0)
+    proposer.set_bound(DeviationBound(0.05, per_speed=0.1, horizon=planner.bound.horizon))
+    proposer.propose(0, start(), None)
+    assert share_kept(proposer) == planner.bound.shares[0]
+
+
+def test_a_fixed_clearance_that_was_lowered_for_a_standing_car_is_asked_for_again() -> None:
+    planner = PlannerSettings(mode="replanning", type="geodesic", safety=Clearance(delta=0.15, delta_per_speed=0.0))
+    proposer = Proposer(Solvers.of(turns(), mushr(), planner), planner, 0)
+    proposer.dirt.set_delta(0.01)
+    proposer.propose(1, start(), None)
+    assert proposer.dirt.safety.delta == 0.15
+
+
+def test_the_goal_stays_whole_for_others_that_use_the_solvers() -> None:
+    planner = load_method("adaptive-kraft").planner
+    made = Solvers.of(turns(), mushr(), planner)
+    near = start().copy()
+    near[:2] = np.add(made.goal.center, (0.02, 0.0))
+    Proposer(made, planner, 0).propose(0, near, None)
+    assert made.checking.goal is not None
+    assert made.checking.goal.radius < made.goal.radius
+    Proposer(made, planner, 0).propose(0, start(), None)
+    assert made.checking.goal.radius == made.goal.radius

@@ -246,6 +246,19 @@ def test_a_time_that_is_left_out_counts_as_standstill(
     assert history.moving == [pytest.approx(span) for span in left]
 
 
+def test_commands_right_after_a_time_that_is_left_out_do_not_bring_it_back() -> None:
+    """A window uses half a second before a motion as well."""
+    history = DriveHistory(BEGIN, CarModel(vehicle()))
+    for time in np.arange(0.0, 7.01, 0.1):
+        history.command(float(time), np.zeros(2), moves=True)
+    history.leave_out(5.0, 7.0)
+    for time in np.arange(7.1, 9.01, 0.1):
+        history.command(float(time), np.zeros(2), moves=True)
+    (begin, left), (again, end) = history.moving
+    assert (begin, left, end) == pytest.approx((0.0, 4.5, 9.0))
+    assert 7.5 <= again <= 7.6001
+
+
 def test_a_change_that_is_forgotten_is_looked_for_anew() -> None:
     """An update that knows a change since 7 s has two seconds of data on it, one that does not know it has one."""
     drive, moving = recorded(exciting, 9.0, {}, 0.1, change=(7.0, {"phi_diff": 0.07})), [(0.1, 9.0)]

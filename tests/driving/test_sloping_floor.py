@@ -201,6 +201,19 @@ def test_windows_of_a_drive_that_overlap_count_once() -> None:
     assert np.trace(joined.update(5.5, 12.0, mean, covariance)[1]) < 0.15
 
 
+def test_a_window_that_ends_earlier_than_the_last_ones_replaces_them() -> None:
+    """Time in which something held the vehicle was left out of it."""
+    mean, covariance = np.array([0.1, 0.0]), 0.1 * np.eye(2)
+    held, other = ConstantOfDrive(np.ones(2)), ConstantOfDrive(np.ones(2))
+    for end in (5.0, 6.0, 7.0, 8.0):
+        held.update(0.0, end, mean + 0.1 * max(end - 6.0, 0.0), covariance)
+    for joined in (held, other):
+        joined.update(0.0, 6.0, mean, covariance)
+    one, another = (joined.update(7.5, 12.0, mean, covariance) for joined in (held, other))
+    assert one[0] == pytest.approx(another[0])
+    assert one[1] == pytest.approx(another[1])
+
+
 def test_the_slope_is_that_of_the_force_up_to_forces_that_pass() -> None:
     """With the passing force in place of the force, which has the prior of the slope then."""
     parameters = online_parameters(vehicle(), Adaptive(kind="adaptive"), sloping=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -131,6 +132,8 @@ def test_commands_of_the_brake_guard_are_among_those_of_a_run(tmp_path: Path) ->
     seen = [MADE.pose_times, MADE.pose_times, MADE.poses[:, 0], MADE.poses[:, 1], wrapped(MADE.poses[:, 2])]
     write_table(tmp_path / "run" / "observations.csv", ["time", "arrival", "x", "y", "theta"], seen)
     same_drive(read_one(tmp_path), MADE)
+    (tmp_path / "run" / "guard.csv").write_text(",".join(heading) + "\n")  # of a drive that was killed
+    assert len(read_one(tmp_path).parts[0].commands) == len(commands) - 4
     write_table(tmp_path / "run" / "guard.csv", heading[:2], list(commands[by_guard, :2].T))
     with pytest.raises(InputError, match=r"guard\.csv: has other columns than steps\.csv"):
         read_logs(tmp_path)
@@ -471,3 +474,47 @@ def test_a_quoted_text_of_two_lines_is_one_field(tmp_path: Path) -> None:
         rows[row] = rows[row].replace("ok, 5", 'two\nlines of ""text""')
     (tmp_path / "a.csv").write_text("\n".join([f"{heading},note", *rows]) + "\n")
     assert len(read_one(tmp_path / "a.csv").parts[0].poses) == len(WIDE["t"])
+
+
+@pytest.mark.parametrize("row", [100, -1])
+@pytest.mark.parametrize("stamp", [1e12, 1e18])
+def test_a_damaged_stamp_costs_its_row_alone(tmp_path: Path, row: int, stamp: float) -> None:
+    times = np.arange(0.025, 5.9, 0.025)
+    times[row] = stamp
+    log = read_one(write_wide(tmp_path / "a.csv", {"t": times}))
+    assert sum(len(part.poses) for part in log.parts) == len(times) - 1
+    assert max(part.pose_times[-1] for part in log.parts) < 6.0
+
+
+def test_a_comment_with_as_many_fields_as_the_heading_is_a_comment(tmp_path: Path) -> None:
+    path = write_wide(tmp_path / "a.csv")
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:50], "# lap 2, run 3, ok, a, b, c", *lines[50:]]) + "\n")
+    assert {finding.kind for finding in read_one(path).findings} <= {"wrap"}
+
+
+def test_a_folder_that_cannot_be_read_is_a_problem_and_the_rest_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_wide(tmp_path / "logs" / "a.csv")
+    (tmp_path / "logs" / "closed").mkdir()
+    entries = Path.iterdir
+
+    def refused(self: Path) -> Iterator[Path]:
+        if self.name == "closed":
+            raise PermissionError(13, "Permission denied")
+        return entries(self)
+
+    monkeypatch.setattr(Path, "iterdir", refused)
+    found = read_logs(tmp_path / "logs")
+    assert [log.name for log in found.logs] == ["a"]
+    assert located(found.problems, tmp_path) == ["logs/closed unreadable"]
+
+
+def test_logs_without_the_columns_may_be_named_by_any_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.csv", "b.csv"):
+        Path(name).write_text("p,q\n1,2\n")
+    with pytest.raises(InputError) as error:
+        read_logs([tmp_path / "a.csv", "b.csv"])
+    assert {Path(d.file).name for d in error.value.diagnostics} == {"a.csv", "b.csv"}

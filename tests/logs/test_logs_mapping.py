@@ -337,3 +337,35 @@ def test_a_switch_between_two_commands_acts_at_its_own_time(tmp_path: Path) -> N
     assert part.commands[k - 1, 0] > 0.0
     assert (part.commands[k:, 0] == 0.0).all()
     assert part.commands[k, 1] == part.commands[k - 1, 1]
+
+
+def test_a_switch_that_is_released_after_the_last_command_acts(tmp_path: Path) -> None:
+    """Commands are logged when they change."""
+    made = drive()
+    write_table(tmp_path / "commands.csv", ["t", "throttle", "steering"], [[0.0, 0.5, 1.0], [0.2, 0.5, 0.5], 3 * [0.1]])
+    poses = [made.pose_times, *made.poses[:, :2].T, wrapped(made.poses[:, 2]), (made.pose_times < 3.0).astype(float)]
+    write_table(tmp_path / "poses.csv", ["t", "x", "y", "yaw", "dead_man"], poses)
+    mapping = mapping_of(tmp_path, "dead_man: {column: dead_man, masks: [throttle]}\n")
+    (log,) = read_logs([tmp_path / "commands.csv", tmp_path / "poses.csv"], mapping=mapping).logs
+    assert log.parts[-1].commands[-1].tolist() == [0.0, 0.1]
+    assert [f.count for f in log.findings if f.kind == "dead man"] == [int((made.pose_times >= 3.0).sum())]
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "text", "said"),
+    [
+        ("t", 1e2, "", "unit: ms} into a mapping file, or name the column so (t_ms)"),
+        ("t", 1e6, "", "unit: us} into a mapping file, or name the column so (t_us)"),
+        ("t_s", 1e2, "", "unit: ms} into a mapping file"),
+        ("t", 1e2, "poses: {time: {column: t, unit: s}}\n", "expected one every 1e-05 to 2 s"),
+    ],
+)
+def test_poses_that_are_too_rare_are_in_another_unit_unless_it_is_stated(
+    tmp_path: Path, name: str, factor: float, text: str, said: str
+) -> None:
+    columns = {(name if key == "t" else key): factor * values if key == "t" else values for key, values in WIDE.items()}
+    path = write_table(tmp_path / "a.csv", list(columns), list(columns.values()))
+    with pytest.raises(InputError) as error:
+        read_logs(path, mapping=mapping_of(tmp_path, text) if text else None)
+    (problem,) = error.value.diagnostics
+    assert problem.expected.replace(", and the same for commands.time", "").endswith(said)

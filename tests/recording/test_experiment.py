@@ -241,6 +241,7 @@ def test_a_file_of_commands_gives_back_the_drive(planned: list[PlannedDrive], tm
         ("t,throttle,steering\n0,0,0\n1,0,0\n1,0,0\n", 4, Code.DATA),
         ("t,throttle,steering\n0,0,0\n1,0,x\n", 3, Code.DATA),
         ("t,throttle,steering\n0,0,0\n", None, Code.DATA),
+        ("t,throttle,steering\n0,0,0\n1,0.5\n2,0,0\n", 3, Code.SYNTAX),
     ],
 )
 def test_commands_that_cannot_be_driven_are_refused(text: str, line: int | None, code: Code, tmp_path: Path) -> None:

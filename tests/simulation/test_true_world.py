@@ -88,6 +88,12 @@ def test_noise_has_its_size_depends_on_the_seed_and_does_not_move_a_vehicle_that
     assert np.array_equal(again.pose, ends[7])
     again.reset()
     assert np.array_equal(drive(again, (0.0, 0.0), 1.0).pose, ends[7])
+    runs = []
+    for run in (1, 2, 1):
+        again.reset(run=run)
+        runs.append(drive(again, (0.0, 0.0), 1.0).pose.copy())
+    assert np.array_equal(runs[0], runs[2])
+    assert not np.array_equal(runs[0], runs[1])
     standing = drive(world_of(hall("process_noise: {y: 0.1}"), vehicle("unicycle2"), 0), (0.0, 0.0), 1.0)
     assert standing.pose[1] == 2.0
 
@@ -157,6 +163,14 @@ def test_obstacles_that_bound_the_room_are_the_scenarios_alone() -> None:
 
 
 # a car by its dimensions
+
+
+@pytest.mark.parametrize(
+    "car", ["track: 0.4, servo: {angle_max_deg: 60, linkage: 1}", "servo: {angle_max_deg: 50, linkage: 2}"]
+)
+def test_a_car_that_would_turn_about_a_point_between_its_wheels_is_refused(car: str) -> None:
+    (problem,) = raised(lambda: world_of(hall(f"car: {{{car}}}"), vehicle("mushr-drive"), 0))
+    assert (problem.code, problem.path) == (Code.GEOMETRY, "truth.car")
 
 
 def test_a_car_has_the_dimensions_that_are_given_and_those_of_its_preset() -> None:

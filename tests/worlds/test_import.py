@@ -72,6 +72,14 @@ def test_cylinders_boxes_and_spheres_keep_their_places_and_the_state_is_not_read
     assert (*ball.center, ball.radius, ball.height) == pytest.approx((0.0, 2.0, 0.3, 0.4))
 
 
+def test_angles_may_be_in_degrees(tmp_path: Path) -> None:
+    text = sdf(model("wall", "<box><size>2 0.2 1</size></box>", "1 6 0 0 0 90"))
+    out = imported(tmp_path, text.replace("<pose>1 6", "<pose degrees='true'>1 6"))
+    (wall,) = load_scenario(out / "barn-7.yaml").obstacles
+    assert isinstance(wall, Box)
+    assert wall.yaw == pytest.approx(math.pi / 2)
+
+
 def test_compressed_worlds_of_a_folder_make_a_suite_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     folder = tmp_path / "worlds"
     folder.mkdir()
@@ -112,6 +120,7 @@ def test_other_starts_and_goals_are_taken_and_have_no_score(tmp_path: Path) -> N
         (sdf(model("post", "<cylinder><radius>-1</radius><length>1</length></cylinder>")), Code.VALUE, 6),
         (sdf(model("post", CYLINDER, "0 0 zero 0 0 0")), Code.VALUE, 5),
         (sdf(model("post", CYLINDER).replace("<pose>", "<pose relative_to='map'>")), Code.UNKNOWN, 5),
+        (sdf(model("post", CYLINDER).replace("<pose>", "<pose rotation_format='quat_xyzw'>")), Code.UNKNOWN, 5),
         (sdf(model("post", CYLINDER, "-2.25 3 0 0 0 0")), Code.GEOMETRY, 2),
     ],
 )
@@ -210,6 +219,7 @@ def test_a_problem_of_dynobench_keeps_its_states_and_names_its_vehicle(tmp_path:
             12,
             5,
         ),
+        (("unicycle1_v0\n    start: [1, 1, 0]", "unicycle2_v0\n    start: [1, 1, 0, 0, 0.2]"), Code.VALUE, 10, 25),
         (("max: [6, 6]", "maximum: [6, 6]"), Code.UNKNOWN, 4, 3),
     ],
 )
@@ -248,6 +258,14 @@ def test_a_map_stays_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert sorted(path.name for path in out.iterdir()) == ["floor.yaml", "suite.yaml"]
     assert main(["import", "map", str(source), "--start", "2,4,0", "--goal", "6,4", "--out", str(out)]) == 2
     assert "--out" in capsys.readouterr().err
+
+
+def test_a_map_is_found_from_a_folder_that_is_a_link(tmp_path: Path) -> None:
+    source, out = map_file(tmp_path), tmp_path / "link" / "out"
+    (tmp_path / "real" / "deep").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "real" / "deep")
+    import_worlds(Request("map", (source,), out, vehicle="mushr", start=(2.0, 4.0, 0.0), goal=(6.0, 4.0, 0.25)))
+    assert load_scenario(out / "floor.yaml").bounds.x == (1.0, 7.0)
 
 
 @pytest.mark.parametrize("yaw", [0.6, -0.6, 2.0, math.pi / 2, 3.5])

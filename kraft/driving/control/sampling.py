@@ -22,6 +22,7 @@ from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats, Floats32Cube, Matrix
 from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.costtogo import UNREACHABLE
 from ompl_ext.kernels.specialise import optional_module
 from ompl_ext.solver import DirtSolver
 
@@ -49,11 +50,10 @@ class Rollouts:
         """
         module = optional_module(model.vehicle, "rollouts")
         self._costs, self._memory = module.roll_out_costs, module.memory(steps)
-        self._dirt, self._model, self._precision = dirt, model, precision
-        self._follows = cost.objective == "plan"
-        self._step = cost.step
+        self._model, self._precision = model, precision
+        self._follows, self._step, self._collision = cost.objective == "plan", cost.step, cost.collision
         self._weights = np.zeros(at.ROLLOUT_WEIGHTS)
-        self._weights[[at.ROLLOUT_STEP, at.ROLLOUT_COLLISION]] = cost.step, cost.collision
+        self._weights[at.ROLLOUT_STEP] = cost.step
         self._weights[[at.ROLLOUT_NEAR, at.ROLLOUT_MARGIN]] = cost.near, cost.margin
         self._weights[at.ROLLOUT_CUTOFF] = cutoff
         if self._follows:
@@ -61,10 +61,21 @@ class Rollouts:
             self._weights[[at.ROLLOUT_POSITION, at.ROLLOUT_HEADING, at.ROLLOUT_SPEED]] = np.array(errors) ** -2.0
         else:
             self._weights[at.ROLLOUT_GOAL] = cost.goal
+        self.set_map(dirt)
 
     def set_map(self, dirt: DirtSolver) -> None:
-        """Roll out in the map of another solver from now on, with its clearance and its goal."""
-        self._dirt = dirt
+        """Roll out in the map of another solver from now on, with its clearance and its goal.
+
+        A collision costs more than the way to the goal from the farthest place.
+        """
+        self._dirt, togo = dirt, dirt.problem.togo
+        farthest = float(np.max(togo, where=togo < UNREACHABLE, initial=0.0))
+        self._weights[at.ROLLOUT_COLLISION] = self._collision + self._weights[at.ROLLOUT_GOAL] * farthest
+
+    @property
+    def collision(self) -> float:
+        """Least cost of a rollout that collides."""
+        return float(self._weights[at.ROLLOUT_COLLISION])
 
     def costs(
         self,
@@ -211,7 +222,6 @@ class DwaController:
     def __init__(self, settings: Dwa, model: VehicleModel, dirt: DirtSolver, law: Controller) -> None:
         """`law` tracks contingencies."""
         self._model, self.law = model, law
-        self._collision = settings.collision
         samples = [np.linspace(low, high, settings.samples) for low, high in zip(model.low, model.high, strict=True)]
         self._controls = np.array(list(itertools.product(*samples)))
         steps = max(1, round(settings.horizon / settings.step))
@@ -244,7 +254,7 @@ class DwaController:
     def _best(self, estimate: Estimate, reference: Reference) -> Floats:
         costs = self._rollouts.costs(estimate, reference, self._nominal, self._arcs, self._noise, len(self._nominal))
         best = int(costs.argmin())
-        if costs[best] >= self._collision:
+        if costs[best] >= self._rollouts.collision:
             return self._model.clamped(self._model.stop_control(estimate.state, 0))
         chosen: Floats = self._controls[best]
         return chosen

@@ -65,6 +65,7 @@ class DriveHistory:
         self._commands = _Record(len(model.rest))
         self._commands.append(-math.inf, model.rest)
         self.moving: list[tuple[float, float]] = []
+        self._held_until = -math.inf  # time before which commands count as given at standstill (s)
 
     def observe(self, observation: Observation, state: Floats) -> None:
         """Add a pose with the state (nx,) that the filter has at its time; late ones are left out."""
@@ -79,7 +80,7 @@ class DriveHistory:
         """Add a command, and whether the vehicle moves at its time."""
         last = float(self._commands.times[-1])
         self._commands.append(time, control)
-        if moves:
+        if moves and time >= self._held_until:
             if self.moving and self.moving[-1][1] >= last:
                 self.moving[-1] = self.moving[-1][0], time
             else:
@@ -99,6 +100,7 @@ class DriveHistory:
         first, last = begin - AROUND_MOTION, end + AROUND_MOTION
         parts = [part for a, b in self.moving for part in ((a, min(b, first)), (max(a, last), b))]
         self.moving = [(a, b) for a, b in parts if a < b]
+        self._held_until = max(self._held_until, last)
 
     def drive(self, begin: float) -> RecordedDrive | None:
         """The recorded drive from `begin` (s) on; None before two poses."""

@@ -106,13 +106,13 @@ class ConstantOfDrive:
         """Mean (n,) and covariance (n, n) after a window from `begin` to `end` (s) with its own mean and covariance."""
         information = np.asarray(np.linalg.inv(covariance), dtype=float)
         score = information @ mean
+        while self._results and self._results[-1][0] >= end:  # the vehicle stands, or time was left out of the window
+            self._results.pop()
         before = sum(result[0] <= begin for result in self._results)
         if before > 0:
             _, earlier, earlier_score = self._results[before - 1]
             information, score = information + earlier - self._prior, score + earlier_score
             del self._results[: before - 1]
-        if self._results and self._results[-1][0] >= end:  # the vehicle stands
-            self._results.pop()
         self._results.append((end, information, score))
         joined = np.asarray(np.linalg.inv(information), dtype=float)
         return joined @ score, joined
