@@ -37,7 +37,7 @@ class OnBoard:
 
     def receive(self, commitment: Commitment, estimate: Estimate) -> None:
         """Take a message; a car that the watchdog stops refuses it if it is older than the stop, or poses are."""
-        if self.is_stopping and (commitment.decided < self._stopped or self._is_blind(estimate)):
+        if self.is_stopping and (commitment.decided < self._stopped or self.is_blind(estimate)):
             return
         self.mirror(commitment, estimate.time)
 
@@ -73,9 +73,9 @@ class OnBoard:
         if self._stops_already(estimate, reference):
             return False
         silent = reference.kind is ReferenceKind.PLAN and estimate.time - self._arrived > self._silence + 1e-9
-        return silent or self._is_blind(estimate)
+        return silent or self.is_blind(estimate)
 
-    def _is_blind(self, estimate: Estimate) -> bool:
+    def is_blind(self, estimate: Estimate) -> bool:
         """Whether the newest observation is too old; at time 0 the car knows where it stands."""
         return min(estimate.age, estimate.time) > self._limit + 1e-9
 

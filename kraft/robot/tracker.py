@@ -130,7 +130,7 @@ class Tracker:
 
     def is_blind(self, estimate: Estimate) -> bool:
         """Whether the newest believed pose is too old."""
-        return min(estimate.age, estimate.time) > (self.settings.watchdog or math.inf)
+        return self.on_board.is_blind(estimate)
 
     def command(self, now: float, estimate: Estimate) -> tuple[Floats, Reference]:
         """Command (nu,) for now, and the reference that it tracks."""

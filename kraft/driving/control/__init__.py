@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 from kraft.driving.control.lqr import LqrController, check_controllable
 from kraft.driving.control.nmpc import NmpcController, casadi_of
 from kraft.driving.control.path_tracking import GeometricController, KinodynamicController
 from kraft.driving.control.sampling import DwaController, MppiController
-from kraft.driving.control_settings import Dwa, Geometric, Kinodynamic, Lqr, Mppi, Nmpc, OpenLoop, Predictive
+from kraft.driving.control_settings import (  # fmt: skip
+    ControllerSettings,
+    Dwa,
+    Geometric,
+    Kinodynamic,
+    Lqr,
+    Mppi,
+    Nmpc,
+    OpenLoop,
+    Predictive,
+)
 from kraft.driving.messages import Controller, Estimate, Reference, ReferenceKind
 from kraft.driving.method import Adaptive, Method
 from kraft.driving.vehicle_model import CarModel, VehicleModel
@@ -36,10 +44,7 @@ __all__ = [
     "settings_for",
 ]
 
-Settings: TypeAlias = OpenLoop | Geometric | Kinodynamic | Lqr | Mppi | Dwa | Nmpc
-
-
-def settings_for(settings: Settings, vehicle: Vehicle) -> Settings:
+def settings_for(settings: ControllerSettings, vehicle: Vehicle) -> ControllerSettings:
     """Settings of the controller that drives a vehicle: a law for cars gives way to the LQR if the vehicle is none."""
     if isinstance(settings, Geometric | Kinodynamic) and not is_car(vehicle):
         return Lqr(kind="lqr", rate_hz=settings.rate_hz)
@@ -74,13 +79,13 @@ def check_packages(method: Method) -> None:
         casadi_of()
 
 
-def contingency_law(settings: Settings) -> Kinodynamic:
+def contingency_law(settings: ControllerSettings) -> Kinodynamic:
     """Law that tracks contingencies for a controller that has none."""
     return Kinodynamic(kind="kinodynamic", rate_hz=settings.rate_hz, k_along=3.0)
 
 
 def make_controller(
-    settings: Settings, model: VehicleModel, dirt: DirtSolver | None = None, seed: int = 0
+    settings: ControllerSettings, model: VehicleModel, dirt: DirtSolver | None = None, seed: int = 0
 ) -> Controller:
     """Make the controller of a method for the vehicle of `model`, see `settings_for`.
 

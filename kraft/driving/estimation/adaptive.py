@@ -232,7 +232,7 @@ class AdaptiveEstimator:
         values, covariance = self._window.parameters.model_values(identified.rho), self._covariance_of(identified)
         free = np.flatnonzero(np.diag(covariance) > 0.0)
         change = (values - self._values)[free]
-        slow = bool((np.abs(self._filter.latest_state[self._model.velocities]) < SLOW).all())
+        slow = bool((np.abs(self._filter.posterior.mean[self._model.velocities]) < SLOW).all())
         if slow or change @ np.linalg.solve(covariance[np.ix_(free, free)], change) > SIGNIFICANT:
             self._values = self._with_held_force(values)
         self._model.set_parameters(self._values)

@@ -202,20 +202,11 @@ class PoseFilter:
 
     def estimate(self, time: float) -> Estimate:
         """Estimate at `time` (s); its speed includes the estimated excess over the model's speed."""
-        newest = self.posterior.time if self.posterior.observation is not None else -math.inf
-        return Estimate(time, self._with_excess(self._reckoning.at(time)), time - newest)
-
-    @property
-    def latest_state(self) -> Floats:
-        """Estimated state (nx,) at the time of the newest observation; its speed includes the excess."""
-        return self._with_excess(self.posterior.mean)
-
-    def _with_excess(self, state: Floats) -> Floats:
-        """State (nx,) of the vehicle from one of the filter (size,)."""
+        state = self._reckoning.at(time)
         nx = len(self._model.vehicle.state)
-        found: Floats = state[:nx].copy()
-        found[self._model.v] += state[nx]
-        return found
+        state[self._model.v] += state[nx]
+        newest = self.posterior.time if self.posterior.observation is not None else -math.inf
+        return Estimate(time, state[:nx], time - newest)
 
     def leave_out(self, begin: float, end: float) -> None:
         """Do nothing: nothing is identified."""
