@@ -175,7 +175,7 @@ def test_quoted_constants_are_those_in_the_code() -> None:
         f"costs at most {RETAINED_TOLERANCE:g} s more", f"a stop of less than {DRIVE_MAX:g} s",
         f"the settings count as {PRIOR_SAMPLES:g} independent poses, and as {PRIOR_CORRELATION:g} correlation times",
         f"up to forces that come and go, of {PASSING_FORCE:g} m/s², each {PASSING_TIME:g} s another one",
-        f"in the halves of the last second are {100 * SEEN_WAY:g} cm", f"that are {LAG:g} s apart", f"than its noise explains for {MOVED_AFTER:g} s", f"A car slower than {SLOW:g} m/s gets",
+        f"in the halves of the last second are {100 * SEEN_WAY:g} cm", f"that are {LAG:g} s apart", f"than its noise explains for {MOVED_AFTER:g} s", f"A car slower than {SLOW:g} m/s by its model",
         f"by the covariance of the new ones, is over {SIGNIFICANT:g}",
         f"exceeds {NOTICED:g}. The next cycles test the motion since then as well",
         f"If for {PROGRESS_TIME:g} s no plan was cheaper by {PROGRESS * PROGRESS_TIME:g} s than the cheapest one before",

@@ -44,6 +44,7 @@ __all__ = [
     "settings_for",
 ]
 
+
 def settings_for(settings: ControllerSettings, vehicle: Vehicle) -> ControllerSettings:
     """Settings of the controller that drives a vehicle: a law for cars gives way to the LQR if the vehicle is none."""
     if isinstance(settings, Geometric | Kinodynamic) and not is_car(vehicle):
