@@ -38,6 +38,8 @@ class CompiledSearch:
         self._si, self._seed, self._roots = si, seed, 0
         step, cycle = si.getPropagationStepSize(), float(params["cycle"])
         safety = replace(checker.safety_settings, enabled=cycle > 0, cycle=cycle)
+        if cycle == 0:  # without SAFETY no edge has to keep its clearance, not even the first one
+            safety = replace(safety, delta=0.0, delta_per_speed=0.0, delta_per_time=0.0)
         settings = Settings(
             blossom=int(params["blossom"]) or BLOSSOM,
             child_extension=bool(params["child_extension"]),

@@ -76,7 +76,8 @@ def _distinct(scaled: Matrix, indices: list[int]) -> list[int]:
 def motion_key(vehicle: Vehicle) -> tuple[object, ...]:
     """Key that is the same for vehicles with the same motion: of the model, the parameters and the bounds."""
     parts = vehicle.parameter_array, vehicle.control_bounds, vehicle.state_limits
-    return (vehicle.hash, id(vehicle.derivative), *(part.tobytes() for part in parts))
+    functions = vehicle.derivative, vehicle.actuation, vehicle.stop  # without source the hash has only their names
+    return (vehicle.hash, *map(id, functions), *(part.tobytes() for part in parts))
 
 
 def motion_of(vehicle: Vehicle) -> Motion:

@@ -62,6 +62,8 @@ class DIRT(ob.Planner):
         **parameters: Value,
     ) -> None:
         super().__init__(si, "DIRT")
+        if (configuration is None) != (bounds is None):
+            raise ValueError("configuration and bounds: expected both or none")
         self._params = ParamSet(DIRT_PARAMETERS)
         for name, value in parameters.items():
             self._params[name] = value
@@ -80,7 +82,7 @@ class DIRT(ob.Planner):
         self.getPlannerData = lambda data: _fill_planner_data(me(), data)
 
     def params(self) -> ParamSet:
-        """Parameters in OMPL's style; changes take effect before the first `solve` and after `clear()`."""
+        """Parameters in OMPL's style; changes take effect before `setup()` or the first `solve`, and after `clear()`."""
         return self._params
 
     def retain(self, path: oc.PathControl, elapsed: float = 0.0) -> None:

@@ -163,7 +163,7 @@ def _set_goal(problem: Problem, goal: Goal, vehicle: Vehicle, settings: Settings
     for name, (low, high) in goal.limits.items():
         k, rate = vehicle.index(name), motion_of(vehicle).rate[vehicle.index(name)]
         limits[k] = low, high, 1.0 / rate if rate > 0.0 else 0.0
-        if k == vehicle.rest_indices[0]:
+        if vehicle.rest_indices[:1] == (k,):
             scalar[[at.BRAKING, at.GOAL_SPEED]] = rate, max(abs(low), abs(high))
 
 

@@ -112,13 +112,14 @@ class QueryTree(EdgeChecker):
     def add_root(self, state: Floats) -> float:
         """Add a start state; returns its slack as `start` does.
 
-        One in the goal is a plan only if it has clearance, and a contingency like every end of a plan.
+        One in the goal is a plan only if it keeps delta(v), and has a contingency like every end of a plan.
         """
-        slack = self._propagate(np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), 0.0)
-        work = self.work
-        unsafe = self.safety.enabled and self.contingency(work.source) is None
-        if work.at_goal[0] == 1 and (slack < 0.0 or unsafe):
-            work.at_goal[0] = 0
+        state, still, work = np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), self.work
+        slack = self._propagate(state, still, 0.0)
+        if work.at_goal[0] == 1:
+            unsafe = self.safety.enabled and self.contingency(state) is None
+            if unsafe or self._propagate(state, still, 0.0, 0.0) < 0.0:
+                work.at_goal[0] = 0
         for each in self._trees:
             add_root(each.tree, work)
         return slack

@@ -43,10 +43,10 @@ class SafetyValidityChecker(ob.StateValidityChecker):
         return self._solver.exact.distance(*self._pose(state))
 
     def delta(self, state: ob.State) -> float:
-        """Clearance (m) that SAFETY requires at the state's speed."""
-        rest = self.vehicle.rest_indices
-        speed = abs(state[rest[0]]) if rest else 0.0
-        return self.safety_settings.delta + self.safety_settings.delta_per_speed * speed
+        """Clearance (m) that SAFETY requires at the state's speed where the cycle ends."""
+        rest, safety = self.vehicle.rest_indices, self.safety_settings
+        speed = state[rest[0]] if rest else 0.0
+        return float(safety.clearance(np.array([speed]), np.array([safety.cycle]))[0])
 
     def safety(self, state: ob.State) -> Contingency | None:
         """SAFETY (Alg. 2): the first contingency manoeuvre that keeps delta(v) until standstill, or None.

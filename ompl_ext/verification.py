@@ -1,4 +1,4 @@
-"""Exact verification of a finished plan at every time, independent of the clearance field of the search."""
+"""Verification of a finished plan with exact distances, independent of the clearance field of the search."""
 
 from __future__ import annotations
 
@@ -62,6 +62,8 @@ def verify(dirt: DirtSolver, plan: Plan) -> Verification:
     A broad phase, which does not use the clearance field, decides where FCL need not be asked; verdict and clearances
     are those of FCL at every sample.
     """
+    if not np.isfinite(plan.trajectory).all():
+        return Verification(-math.inf, None, (_not_finite("plan"),))
     problems: list[Violation] = []
     poses = poses_of(plan.trajectory, dirt.vehicle)
     clearance = _Clearance(dirt, poses)
@@ -79,13 +81,31 @@ def verify(dirt: DirtSolver, plan: Plan) -> Verification:
         missing = Violation(Requirement.CONTINGENCY, "contingency: missing")
         return Verification(least, None, (*problems, missing))
     stop = plan.contingency
+    if not np.isfinite(stop.states).all():
+        return Verification(least, -math.inf, (*problems, _not_finite("contingency")))
     stopping = _Clearance(dirt, poses_of(stop.states, dirt.vehicle))
     every = np.ones(len(stop.times), bool)
     times = stop.times - stop.times[0] + dirt.safety.cycle  # as the planner takes it to begin
     problems += _clearance_violations(dirt, "contingency", times, stop.states, stopping, every)
+    nearest, at = stopping.least()
+    if not nearest > 0.0:
+        problems.append(Violation(Requirement.COLLISION, f"contingency: collides at t = {stop.times[at]:.3f} s"))
+    between = interpolated_poses(poses_of(stop.states, dirt.vehicle), FINE)
+    problems += _collisions_between(dirt, "contingency", stop.times, between, stopping)
     if not dirt.safety.is_resting(dirt.vehicle, stop.states[-1]):
         problems.append(Violation(Requirement.STANDSTILL, "contingency: does not end at standstill"))
-    return Verification(least, stopping.least()[0], tuple(problems))
+    return Verification(least, nearest, tuple(problems))
+
+
+def _not_finite(what: str) -> Violation:
+    return Violation(Requirement.CONSISTENCY, f"{what}: a state is not finite")
+
+
+def interpolated_poses(poses: Matrix, count: int) -> Floats:
+    """Poses (n - 1, count + 1, 3) at equal intervals on the straight lines between poses (n, 3)."""
+    shares = np.linspace(0.0, 1.0, count + 1)[None, :, None]
+    found: Floats = poses[:-1, None] + shares * np.diff(poses, axis=0)[:, None]
+    return found
 
 
 class _Clearance:
@@ -137,20 +157,30 @@ def _clearance_violations(
 
 
 def _collisions_between_samples(dirt: DirtSolver, plan: Plan, clearance: _Clearance) -> list[Violation]:
-    """Collisions between samples.  A motion by m between clearances a and b is free if a + b > m, else sampled."""
+    """Collisions of a plan between the samples of its trajectory."""
     ends = np.cumsum(plan.durations)
     edge = np.minimum(np.searchsorted(ends, plan.times[:-1] + 1e-9, side="right"), len(ends) - 1)
     if not len(ends):  # the start is in the goal
         return []
     fine = dirt.fine(plan.trajectory[:-1], plan.controls[edge], np.diff(plan.times), FINE)
     poses = poses_of(fine.reshape(-1, fine.shape[2]), dirt.vehicle).reshape(*fine.shape[:2], 3)
+    return _collisions_between(dirt, "plan", plan.times, poses, clearance)
+
+
+def _collisions_between(
+    dirt: DirtSolver, what: str, times: Floats, poses: Floats, clearance: _Clearance
+) -> list[Violation]:
+    """Collisions between samples at `times` (n,), given poses (n - 1, k, 3) from each to the next.
+
+    A motion by m between clearances a and b is free if a + b > m; else its poses are looked at.
+    """
     travelled = _motion(poses[:, :-1], poses[:, 1:], dirt.vehicle.footprint.reach).sum(axis=1)
     problems = []
     for k in np.flatnonzero(clearance.values[:-1] + clearance.values[1:] <= travelled + SPREAD):
         if clearance.ask(np.array([k, k + 1])).sum() > travelled[k]:
             continue
         if not dirt.exact.least_distance(poses[k, 1:-1]) > 0.0:
-            text = f"plan: collides between t = {plan.times[k]:.3f} and {plan.times[k + 1]:.3f} s"
+            text = f"{what}: collides between t = {times[k]:.3f} and {times[k + 1]:.3f} s"
             problems.append(Violation(Requirement.COLLISION, text))
     return problems
 

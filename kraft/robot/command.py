@@ -23,12 +23,16 @@ def limited(vehicle: Vehicle, robot: Robot) -> Vehicle:
     The throttle backwards, which brakes, is not limited.
 
     Raises:
-        InputError: if the vehicle does not reach the limited speed, or has other controls than the robot takes.
+        InputError: if the vehicle does not reach the limited speed, has other controls than the robot takes, or is no
+            car.
     """
     check_controls(vehicle, robot)
     limits = robot.limits
-    if not is_car(vehicle) or (limits.speed is None and limits.steering_deg is None):
+    if limits.speed is None and limits.steering_deg is None:
         return vehicle
+    if not is_car(vehicle):
+        problem, expected = f"are given, and {vehicle.name} is no car", "expected a vehicle file with smaller bounds"
+        raise InputError([robot.source.diagnostic("limits", problem, expected, code=Code.CONFLICT)])
     bounds = dict(vehicle.controls)
     top = vehicle.top_speed
     if limits.speed is not None:

@@ -14,6 +14,7 @@ import threading
 import time as clock
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Final
 
@@ -135,10 +136,10 @@ def run_control(
             _wait_for_guard(spec, transport, guard_mail)
             health = Health(spec.robot.watchdog, min(found.pose_rate, spec.robot.pose.rate_hz), spec.period)
             with Journal(spec.folder, headings(spec.vehicle)) as journal:
-                drive = Control(spec, transport, inputs, tasks, mailbox, guard_mail, journal, tracker, health)
-                ended = mailbox.send(drive.run())
-            guard_mail.send(Released()).wait(1.0)
-            ended.wait(REPORT_TIME)
+                ended = Control(spec, transport, inputs, tasks, mailbox, guard_mail, journal, tracker, health).run()
+                released = guard_mail.send(Released())  # before the journal is written, which may take long
+            released.wait(1.0)
+            mailbox.send(replace(ended, unwritten=journal.problem)).wait(REPORT_TIME)
     finally:
         transport.close()
 
@@ -380,9 +381,11 @@ class Control:
         return self._ending is None and stands and not self._trouble(now)
 
     def _check_faults(self, now: float, estimate: Estimate) -> None:
-        if now < 0.0 or self._ending is not None:
+        if now < 0.0 or not (trouble := self._trouble(now)):
             return
-        if (trouble := self._trouble(now)) and self._since_stop is None:
+        if self._ending is not None and not self._on_board.is_stopping:  # the plan is driven on where the planner ended
+            self._on_board.stop(estimate)
+        elif self._ending is None and self._since_stop is None:
             self._on_board.stop(estimate)
             self._stopped(now, trouble)
 
@@ -457,6 +460,8 @@ class Control:
             self._end(now, "timeout", f"the goal was not reached in {self._spec.timeout:g} s")
         elif self._since_stop is not None and now - self._since_stop > watchdog.give_up:
             self._end(now, "stopped", self._trouble(now) or self._why)
+        elif self._waiting and now - self._requested > watchdog.give_up:
+            self._end(now, "stopped", f"the planner has not answered for {now - self._requested:.1f} s")
         elif min(estimate.age, now) > watchdog.give_up:
             self._end(now, "stopped", self._why_blind(estimate))
 

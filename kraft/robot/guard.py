@@ -3,8 +3,9 @@
 It knows what the controller knows: every tick the controller tells it the command, the observations, and what is on
 board.  When no such message arrives for longer than two commands should be apart, the guard receives the poses itself
 and goes on from there: the remainder of the plan on board, then its contingency, both verified, with feedback.  It
-stops doing so as soon as the controller drives again.  It is in a session of its own, so that signals to the group of
-the other processes, such as Ctrl-Z in a terminal, do not reach it, and it outlives them until the vehicle stands.
+brakes at once if the dead man is released, and it stops driving as soon as the controller drives again.  It is in a
+session of its own, so that signals to the group of the other processes, such as Ctrl-Z in a terminal, do not reach it,
+and it outlives them until the vehicle stands.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def run_guard(spec: DriveSpec, connection: Connection, others: Sequence[Connecti
         headings = {"guard": ["time", *(f"estimate_{name}" for name in spec.vehicle.state),
                               *(f"command_{name}" for name in spec.vehicle.controls)]}  # fmt: skip
         with Journal(spec.folder, headings) as journal:
-            Guard(spec.period, Tracker(spec, begin, transport, inputs), mailbox, journal).run()
+            Guard(spec.period, Tracker(spec, begin, transport, inputs), inputs, mailbox, journal).run()
     finally:
         transport.close()
 
@@ -82,8 +83,9 @@ def run_guard(spec: DriveSpec, connection: Connection, others: Sequence[Connecti
 class Guard:
     """Watches the ticks of a controller, and drives when they stay away."""
 
-    def __init__(self, period: float, tracker: Tracker, mailbox: Mailbox, journal: Journal) -> None:
-        self._period, self._tracker, self._mailbox, self._journal = period, tracker, mailbox, journal
+    def __init__(self, period: float, tracker: Tracker, inputs: Inputs, mailbox: Mailbox, journal: Journal) -> None:
+        self._period, self._tracker, self._inputs = period, tracker, inputs
+        self._mailbox, self._journal = mailbox, journal
         self._since: float | None = None  # the beginning of its own driving
         self._stood = 0.0
         self._connections = tracker.connections
@@ -154,6 +156,8 @@ class Guard:
         self._since = now if self._since is None else self._since
         tracker.take_poses(now)
         estimate = tracker.estimate(now)
+        if now >= 0.0 and self._inputs.trouble and not tracker.on_board.is_stopping:
+            tracker.on_board.stop(estimate)
         command, reference = tracker.command(now, estimate)
         tracker.publish(now, command)
         tracker.commanded(now, command)

@@ -7,7 +7,6 @@ import io
 import queue
 import threading
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -58,8 +57,10 @@ class Journal:
             except InputError as error:
                 self.problem = str(error)
         for table in self._tables.values():
-            with suppress(InputError):  # the rows are in the file, though perhaps not yet on the disk
+            try:
                 table.sync()
+            except InputError as error:
+                self.problem = self.problem or str(error)
             table.close()
 
     def _append(self, folder: Path, name: str, values: Sequence[Any]) -> None:

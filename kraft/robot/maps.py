@@ -67,7 +67,7 @@ def receive_maps(robot: Robot, task: Task, transport: Transport, tell: Callable[
             if frame != robot.pose.frame:
                 raise ValueError(f"it is in the frame {frame!r}, expected {robot.pose.frame!r}")
             found = near_bounds(occupancy_map(message), task)
-        except ValueError as error:
+        except (ValueError, OverflowError) as error:
             tell(MapNews(None, size, f"the map of {size} cannot be used: {error}"))
             return
         is_new = newest != [found]

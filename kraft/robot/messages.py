@@ -92,6 +92,8 @@ def _scalar(kind: str, given: Any) -> Any:
     if kind == "string" or kind == "wstring":
         return "" if given is None else str(given)
     if kind == "bool":
+        if given is not None and given not in (0, 1):
+            raise ValueError(f"is {given!r}, where true or false is expected")
         return bool(given)
     if kind.startswith("float"):
         return 0.0 if given is None else float(given)

@@ -12,9 +12,9 @@ class PeerWatch:
     """
 
     def __init__(self, transport: Transport, topic: str) -> None:
-        """Take the present publishers for those of the drive: the brake guard, and where they are listed, this one."""
+        """Take the publishers that are known first for those of the drive: the brake guard, and this one if listed."""
         self._transport, self._topic = transport, topic
-        self._own = transport.peers(topic).publishers or frozenset()
+        self._own = transport.peers(topic).publishers
         self._connections = transport.connections
         self._renamed = False
         self.foreign = ""
@@ -31,6 +31,8 @@ class PeerWatch:
             self._connections, self._renamed = self._transport.connections, True
         if there is None:
             return
+        if self._own is None:
+            self._own = there
         if self._renamed and len(there) == len(self._own):
             self._own, self._renamed = there, False
         others = there - self._own

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Any
 
 from kraft.robot.messages import POSE
@@ -18,7 +19,7 @@ class TaskInputs:
     def __init__(self, robot: Robot, transport: Transport, maps: Mailbox | None) -> None:
         """Subscribe to goals; `maps` is the mailbox of the process that receives maps, None if the robot has none."""
         self._robot, self._maps = robot, maps
-        self._goal: tuple[float, float] | None = None
+        self._goals: deque[tuple[float, float]] = deque(maxlen=1)  # a thread of the transport adds to it
         self._map: OccupancyMap | None = None
         self._goal_problem = ""
         self._size = self._map_problem = self._link_problem = ""
@@ -29,7 +30,7 @@ class TaskInputs:
         place = message.pose.position
         frame = message.header.frame_id.lstrip("/")
         if frame == self._robot.pose.frame and math.isfinite(place.x) and math.isfinite(place.y):
-            self._goal = float(place.x), float(place.y)
+            self._goals.append((float(place.x), float(place.y)))
         else:
             expected = f"expected numbers in the frame {self._robot.pose.frame!r}"
             self._goal_problem = (
@@ -52,8 +53,7 @@ class TaskInputs:
 
     def take_goal(self) -> tuple[float, float] | None:
         """New goal since the last call, m."""
-        goal, self._goal = self._goal, None
-        return goal
+        return self._goals.pop() if self._goals else None
 
     def take_goal_problem(self) -> str:
         """Why a goal could not be used since the last call; empty if all could."""

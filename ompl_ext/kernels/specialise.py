@@ -15,9 +15,10 @@ import tempfile
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from ompl_ext.kernels.search import search
 from ompl_ext.vehicle import Vehicle
 
 T = TypeVar("T")
+Given = ParamSpec("Given")
 FOR_ALL_VEHICLES = ("sst",)  # modules that few methods use and that do not depend on the vehicle
 _kernels: dict[str, VehicleKernels] = {}
 _steps: dict[str, StepKernels] = {}
@@ -78,6 +80,18 @@ class _BeingCompiled(threading.local):
 
 
 _being_compiled = _BeingCompiled()
+_loading = threading.RLock()
+
+
+def _one_at_a_time(function: Callable[Given, T]) -> Callable[Given, T]:
+    """The function for one thread at a time: another one would find modules that are executed in part."""
+
+    @wraps(function)
+    def waiting(*args: Given.args, **kwargs: Given.kwargs) -> T:
+        with _loading:
+            return function(*args, **kwargs)
+
+    return waiting
 
 
 def vehicle_being_compiled() -> Vehicle:
@@ -110,6 +124,7 @@ def is_polish_cached(vehicle: Vehicle) -> bool:
     return loaded or (bool(vehicle.source) and _done_marker(vehicle, "polish-complete").exists())
 
 
+@_one_at_a_time
 def kernels(vehicle: Vehicle) -> VehicleKernels:
     """Compiled kernels of `vehicle`: from this process, else from the cache on disk, else compiled now (seconds).
 
@@ -129,6 +144,7 @@ def kernels(vehicle: Vehicle) -> VehicleKernels:
     return _kernels[key]
 
 
+@_one_at_a_time
 def step_kernels(vehicle: Vehicle) -> StepKernels:
     """Compiled model steps of `vehicle`: from this process, else from the cache on disk, else compiled now.
 
@@ -158,6 +174,7 @@ class PolishKernels:
     """length of its working block"""
 
 
+@_one_at_a_time
 def polish_kernels(vehicle: Vehicle) -> PolishKernels:
     """Compiled local optimisation of `vehicle`: from this process, else from the cache on disk, else compiled now."""
     shooting = module_of(vehicle, "shooting")
@@ -174,6 +191,7 @@ def is_module_cached(vehicle: Vehicle, source: str) -> bool:
     return loaded or (bool(vehicle.source) and _optional_marker(vehicle, source).exists())
 
 
+@_one_at_a_time
 def optional_module(vehicle: Vehicle, source: str) -> ModuleType:
     """Module of kernels that few methods use, `rollouts` or `sst`: from this process, the cache, or compiled now."""
     kernels(vehicle)  # parts of them are used
@@ -188,11 +206,13 @@ def _optional_marker(vehicle: Vehicle, source: str) -> Path:
     return _done_marker(vehicle, f"{source}-complete") if source not in FOR_ALL_VEHICLES else cache_folder() / source
 
 
+@_one_at_a_time
 def module_of(vehicle: Vehicle, source: str) -> ModuleType:
     """Module of kernels that was executed for a vehicle, or is now."""
     return sys.modules.get(_module_name(_key(vehicle), source)) or _execute(vehicle, source)
 
 
+@_one_at_a_time
 def layout_module_of(vehicle: Vehicle, source: str) -> ModuleType:
     """Module of kernels that was executed for the layout of a vehicle's state, or is now."""
     layout = _layout(vehicle)
@@ -228,7 +248,10 @@ def _module_name(key: str, source: str) -> str:
 
 
 def _key(vehicle: Vehicle) -> str:
-    return vehicle.hash if vehicle.source else f"{vehicle.hash}-{id(vehicle.derivative)}"
+    if vehicle.source:
+        return vehicle.hash
+    functions = vehicle.derivative, vehicle.actuation, vehicle.stop
+    return "-".join([vehicle.hash, *(str(id(function)) for function in functions)])
 
 
 def vehicle_cache_folder(vehicle: Vehicle) -> Path:
@@ -267,7 +290,7 @@ def _execute_as(name: str, source: str, being_compiled: list[T], subject: T) -> 
         with interrupts_between_passes():
             spec.loader.exec_module(module)
     except BaseException:
-        del sys.modules[name]
+        sys.modules.pop(name, None)
         raise
     finally:
         being_compiled.pop()

@@ -170,6 +170,54 @@ def test_a_post_between_two_samples_is_found() -> None:
     assert [problem.requirement for problem in verification.problems] == [Requirement.COLLISION]
 
 
+def safe_plan() -> tuple[DirtSolver, Plan]:
+    """A plan of a small vehicle, with a contingency that asks for no clearance."""
+    vehicle = replace(BENCHMARK, footprint=Footprint(0.02, 0.02))
+    dirt = DirtSolver(vehicle, turns().workspace, turns().goal, Safety(cycle=1.0), capacity=20_000)
+    dirt.start(START, 1)
+    dirt.grow(iterations=800)
+    plan = dirt.plan()
+    assert plan is not None
+    assert verify(dirt, plan).problems == ()
+    return dirt, plan
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.0, "contingency: collides at"), (0.5, "contingency: collides between")])
+def test_a_contingency_that_collides_is_found_at_its_samples_and_between_them(share: float, said: str) -> None:
+    dirt, plan = safe_plan()
+    assert plan.contingency is not None
+    before, after = plan.contingency.states[:2, :2]
+    assert np.hypot(*(after - before)) > 0.03
+    post = Circle(before + share * (after - before), 0.001)
+    with_post = Workspace(dirt.workspace.bounds, (*dirt.workspace.obstacles, post))
+    judge = DirtSolver(dirt.vehicle, with_post, dirt.goal, dirt.safety, capacity=10)
+    found = [problem.text for problem in verify(judge, plan).problems if problem.requirement is Requirement.COLLISION]
+    assert any(text.startswith(said) for text in found), found
+
+
+def test_states_that_are_not_finite_are_a_violation() -> None:
+    dirt, plan = safe_plan()
+    stop, nowhere = plan.contingency, plan.trajectory.copy()
+    assert stop is not None
+    nowhere[3, 0] = math.nan
+    states = stop.states.copy()
+    states[-1, 1] = math.inf
+    for changed in (replace(plan, trajectory=nowhere), replace(plan, contingency=replace(stop, states=states))):
+        found = verify(dirt, changed)
+        assert [problem.requirement for problem in found.problems] == [Requirement.CONSISTENCY]
+
+
+def test_a_start_in_the_goal_is_a_plan_only_if_it_keeps_the_clearance() -> None:
+    found = []
+    for delta in (0.0, 5.0):
+        dirt = turns(Safety(enabled=False, cycle=1.0, delta=delta))
+        assert dirt.goal is not None
+        dirt.start(np.array([*dirt.goal.center, *START[2:]]), 0)
+        plan = dirt.plan()
+        found.append(plan is not None and plan.reaches_goal)
+    assert found == [True, False]
+
+
 def test_a_map_of_many_rectangles_is_as_exact(monkeypatch: pytest.MonkeyPatch) -> None:
     occupied = np.random.default_rng(2).random((60, 70)) < 0.05
     workspace = Workspace(((0.0, 3.5), (0.0, 3.0)), (OccupancyGrid(occupied, 0.05, (0.2, 0.1, 0.3)),))

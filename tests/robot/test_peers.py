@@ -57,3 +57,17 @@ def test_a_guard_that_alone_connects_again_is_no_other() -> None:
     transport.names = frozenset(("a", "c"))
     watch.look()
     assert not watch.foreign
+
+
+def test_who_publishes_first_when_that_is_known_is_of_the_drive() -> None:
+    """The first answer of the network may come too late."""
+    transport = Listed("guard")
+    transport.names = None
+    watch = PeerWatch(transport, "/drive")
+    for names in (None, frozenset(("guard",)), frozenset(("guard",))):
+        transport.names = names
+        watch.look()
+        assert not watch.foreign
+    transport.names = frozenset(("guard", "joystick"))
+    watch.look()
+    assert "(joystick)" in watch.foreign

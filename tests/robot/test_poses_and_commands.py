@@ -93,6 +93,14 @@ def test_a_model_with_other_controls_than_the_robot_takes_is_refused() -> None:
     assert (problem.path, problem.code) == ("command.type", Code.MISMATCH)
 
 
+def test_limits_of_a_vehicle_that_is_no_car_are_refused() -> None:
+    described = robot(command=command(type="sensor_msgs/msg/JointState"), limits={"speed": 0.3})
+    with pytest.raises(InputError) as error:
+        limited(load_vehicle("jackal"), described)
+    (problem,) = error.value.diagnostics
+    assert (problem.path, problem.code) == ("limits", Code.CONFLICT)
+
+
 def test_limits_bound_what_is_planned() -> None:
     slow = limited(load_vehicle("f1tenth"), robot(limits={"speed": 0.3, "steering_deg": 10.0}))
     model = CarModel(slow)
