@@ -55,7 +55,7 @@ def test_neither_controller_nor_guard_subscribes_to_the_map() -> None:
         (grid(resolution=0.004), "expected cells of at least 0.005 m"),
         (grid(resolution=math.nan), "expected cells of at least 0.005 m"),
         (grid(origin=pose_fields(math.nan, 0.0, 0.0)), "its origin is no pose"),
-        (grid(origin=pose_fields(1e307, 0.0, 0.0)), "cannot be used"),
+        (grid(origin=pose_fields(1.7e308, 0.0, 0.0)), "cannot be used"),
     ],
 )
 def test_a_map_that_cannot_be_used_is_told_with_the_reason(message: Any, why: str) -> None:
