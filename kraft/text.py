@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import Final
 
 
 def listed(items: Iterable[object], most: int = 3) -> str:
@@ -76,11 +77,15 @@ def percent(share: float | None, none: str = "-") -> str:
     return f"{share:.1%}" if text == "100%" and share < 1.0 else text
 
 
+SLUG_MAX: Final = 100
+"""Most bytes of a slug before its number: names of files have at most 255."""
+
+
 def slugs(names: Iterable[str]) -> dict[str, str]:
     """Each name as a part of a file's name or of an address, with hyphens for other characters; all are different."""
     found: dict[str, str] = {}
     for name in names:
-        slug = unique = re.sub(r"[^\w.=+-]+", "-", name)
+        slug = unique = re.sub(r"[^\w.=+-]+", "-", name).encode()[:SLUG_MAX].decode(errors="ignore")
         number = 1
         while unique in found.values():
             number += 1

@@ -82,7 +82,7 @@ class DIRT(ob.Planner):
         self.getPlannerData = lambda data: _fill_planner_data(me(), data)
 
     def params(self) -> ParamSet:
-        """Parameters in OMPL's style; changes take effect before `setup()` or the first `solve`, and after `clear()`."""
+        """Parameters in OMPL's style; they take effect before `setup()` or the first `solve`, and after `clear()`."""
         return self._params
 
     def retain(self, path: oc.PathControl, elapsed: float = 0.0) -> None:

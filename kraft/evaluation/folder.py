@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -71,7 +72,7 @@ def check_new(path: Path) -> None:
     Raises:
         InputError: if it exists or cannot be written.
     """
-    if path.is_dir():
+    if os.path.lexists(path):
         raise InputError.of(str(path), "is there already", "expected a new folder, or to resume this one", Code.EXISTS)
     check_writable(path)
 

@@ -122,12 +122,12 @@ def check_same_manifest(path: Path, was: Mapping[str, Any], now: Mapping[str, An
         raise InputError(
             Diagnostic(
                 str(path),
-                _difference(key, before, after),
+                _difference(keys, before, after),
                 "expected no change, or another folder",
-                path=key,
+                path=".".join(keys),
                 code=Code.MISMATCH,
             )
-            for key, before, after in differing
+            for keys, before, after in differing
         )
 
 
@@ -139,25 +139,24 @@ def _compared(content: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def _differences(was: Any, now: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Key and both values of every difference; a hash only where no value differs."""
+def _differences(was: Any, now: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
+    """Keys and both values of every difference; a hash only where no value differs."""
     if isinstance(was, dict) and isinstance(now, dict):
         found = [
             difference
             for key in {**was, **now}
-            for difference in _differences(was.get(key, MISSING), now.get(key, MISSING), f"{path}.{key}".lstrip("."))
+            for difference in _differences(was.get(key, MISSING), now.get(key, MISSING), (*path, key))
         ]
-        of_values = [difference for difference in found if not difference[0].endswith(".sha256")]
+        of_values = [difference for difference in found if difference[0][-1] != "sha256"]
         yield from of_values or found
     elif was != now:
         yield path, was, now
 
 
-def _difference(key: str, before: Any, after: Any) -> str:
+def _difference(keys: tuple[str, ...], before: Any, after: Any) -> str:
     """Message about a difference."""
-    section, _, name = key.partition(".")
-    part = f"{section.removesuffix('s')} {name}"
-    known = section in SECTIONS and "." not in name
+    part = f"{keys[0].removesuffix('s')} {keys[-1]}"
+    known = keys[0] in SECTIONS and len(keys) == 2
     if before is MISSING:
         return f"{part} is not in the folder's evaluation" if known else f"was absent, is {_json(after)} now"
     if after is MISSING:

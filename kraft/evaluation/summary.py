@@ -177,7 +177,8 @@ def tabulate(
     for name in names:
         mine = _rows(seeds, rows, name.entry, name.method)
         theirs = _rows(seeds, rows, name.entry, REFERENCE) if name.method != REFERENCE else []
-        against = mcnemar(_successes(mine), _successes(theirs)) if theirs else None
+        ours, others = _successes(mine), _successes(theirs)
+        against = mcnemar(ours, others) if ours.keys() & others.keys() else None
         results.append(_result(name, mine, against))
     return Summary(len(seeds), seeds.start, realtime, wall, tuple(results))
 

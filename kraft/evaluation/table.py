@@ -191,7 +191,7 @@ def markdown(summary: Summary) -> str:
 
 
 def _line(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
+    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
 def _cells(result: Result) -> dict[str, str]:

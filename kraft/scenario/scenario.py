@@ -85,6 +85,11 @@ class Scenario(Task):
     sensing: Sensing = field(default_factory=Sensing)
     trial: Trial = field(default_factory=Trial)
 
+    @property
+    def obstacle_labels(self) -> list[str]:
+        """What messages and pages call each obstacle: its name, or its place in the file."""
+        return [obstacle.name or f"obstacles[{i}]" for i, obstacle in enumerate(self.obstacles)]
+
     def task(self) -> Task:
         """Part of the scenario that the robot knows."""
         return Task(**{f.name: getattr(self, f.name) for f in fields(Task)})

@@ -89,7 +89,7 @@ class CollisionDetector:
 
     def __init__(self, model: Any, data: Any, scenario: Scenario, frame: FloorFrame, root: str, by_rows: bool) -> None:
         self._data, self._frame = data, frame
-        self._labels = [obstacle.name or f"obstacles[{i}]" for i, obstacle in enumerate(scenario.obstacles)]
+        self._labels = scenario.obstacle_labels
         names = [model.geom(geom).name for geom in range(model.ngeom)]
         self._obstacle = np.array([_index("obstacle", name) for name in names])
         self._movable = np.array([_index("movable", name) for name in names])

@@ -458,7 +458,7 @@ class _Obstacles:
         self._bounds, self._footprint = (scenario.bounds.x, scenario.bounds.y), vehicle.footprint
         self._solid = tuple(planar_obstacle(obstacle) for obstacle in scenario.obstacles)
         self._exact = ExactClearance(Workspace(self._bounds, self._solid), self._footprint)
-        self._labels = [obstacle.name or f"obstacles[{i}]" for i, obstacle in enumerate(scenario.obstacles)]
+        self._labels = scenario.obstacle_labels
         self._reach = self._footprint.reach
         self.forget()
 

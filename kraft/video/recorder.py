@@ -67,11 +67,13 @@ class VideoRecorder:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._file.discard()
-        self._gl.make_current()
-        if self._renderer is not None:
-            self._renderer.close()
-        self._gl.free()
+        try:
+            self._file.discard()
+        finally:
+            self._gl.make_current()
+            if self._renderer is not None:
+                self._renderer.close()
+            self._gl.free()
 
     def on_cycle(self, cycle: Cycle) -> None:
         """For `run_trial`."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
@@ -370,8 +371,11 @@ class FilmWriter:
 
     def discard(self) -> None:
         """Close and remove what has been written; does nothing after `finish`."""
-        self._container.close()
-        self._file.discard()
+        try:
+            with suppress(OSError):  # a full disk, of which `add` has told
+                self._container.close()
+        finally:
+            self._file.discard()
 
     def _mux(self, frame: Any) -> None:
         try:

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from kraft.config import bundled
 from kraft.config.overrides import parse_overrides
-from kraft.driving.control import needs_steps
+from kraft.driving.control import kernel_modules, needs_steps
 from kraft.driving.messages import Cycle
 from kraft.driving.method import Method, load_method
 from kraft.errors import Diagnostic, InputError, MissingError, Problems, out_of_range
@@ -100,7 +100,10 @@ def drive_robot(
     for line in vehicle_details(spec.vehicle):
         detail(line)
     steps, heading = needs_steps(spec.method, spec.vehicle), spec.task.goal.heading is not None
-    ensure_compiled(spec.vehicle, report, steps=steps, heading=heading, polish=bool(spec.method.planner.polish))
+    ensure_compiled(
+        spec.vehicle, report, steps=steps, heading=heading, polish=bool(spec.method.planner.polish),
+        modules=kernel_modules(spec.method),
+    )  # fmt: skip
     check_reachable(spec.task, spec.vehicle)
     if out is not None:
         out.mkdir(parents=True)

@@ -230,6 +230,13 @@ def test_obstacles_are_the_redder_the_more_often_they_were_hit() -> None:
     }
 
 
+def test_obstacles_without_a_name_are_those_that_were_hit() -> None:
+    scenario = load_scenario("turns")
+    unnamed = replace(scenario, obstacles=tuple(replace(each, name=None) for each in scenario.obstacles))
+    hit = [str(found[0].text) for found in shapes(floor_plan(unnamed, {"obstacles[1]": 7}), "hit")]
+    assert hit == ["obstacles[1]: 7 collisions"]
+
+
 @pytest.mark.parametrize("size", [40, 1000])
 def test_a_map_is_drawn_as_the_cells_that_are_occupied(size: int) -> None:
     occupied = np.zeros((size, size // 2), bool)

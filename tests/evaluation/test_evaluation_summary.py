@@ -204,6 +204,12 @@ def test_markdown_has_a_table_for_each_scenario(experiment: Experiment, rows: di
     assert len(widths) == 1
 
 
+def test_a_method_without_a_trial_in_common_is_not_compared(experiment: Experiment, rows: dict[Key, TrialRow]) -> None:
+    alone = {key: row for key, row in rows.items() if row.method == "kraft"}
+    for found in (alone, {key: row for key, row in rows.items() if row.method != "kraft"}):
+        assert all(result.against is None for result in summary.summarise(experiment, found, 1.0).results)
+
+
 def test_ompls_tool_makes_a_database_of_the_log(
     experiment: Experiment, rows: dict[Key, TrialRow], tmp_path: Path
 ) -> None:

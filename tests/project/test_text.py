@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from kraft.text import counted, decimals, finite, grouped, listed, metres, nearest
+from kraft.text import counted, decimals, finite, grouped, listed, metres, nearest, slugs
 
 
 @pytest.mark.parametrize(("number", "text"), [(0, "0 trials"), (1, "1 trial"), (2, "2 trials")])
@@ -32,3 +32,10 @@ def test_the_same_name_is_nearer_than_one_that_begins_with_it(word: str, option:
 
 def test_of_a_long_list_the_first_few_are_said_and_how_many_more() -> None:
     assert [listed(range(n)) for n in (0, 1, 3, 5)] == ["", "0", "0; 1; 2", "0; 1; 2; and 2 more"]
+
+
+def test_slugs_of_long_names_fit_into_names_of_files_and_differ() -> None:
+    names = [f"{'ä' * 300} {k}" for k in range(3)]
+    found = list(slugs(names).values())
+    assert len(set(found)) == 3
+    assert max(len(each.encode()) for each in found) < 120

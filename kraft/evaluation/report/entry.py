@@ -163,7 +163,7 @@ def floor_plan(scenario: Scenario, hits: Mapping[str, int]) -> Element:
 
     Args:
         scenario: the scenario.
-        hits: number of collisions by obstacle; an obstacle is drawn in a deeper red the more it has.
+        hits: number of collisions by obstacle; an obstacle is drawn in a deeper colour the more it has.
     """
     (x0, x1), (y0, y1) = scenario.bounds.x, scenario.bounds.y
     margin = MARGIN * max(x1 - x0, y1 - y0)
@@ -173,7 +173,10 @@ def floor_plan(scenario: Scenario, hits: Mapping[str, int]) -> Element:
     things: list[Content] = [
         element("rect", class_="free", x=x0, y=y0, width=x1 - x0, height=y1 - y0),
         *_truth(scenario.truth),
-        *(_obstacle(obstacle, hits.get(obstacle.name or "", 0), most) for obstacle in scenario.obstacles),
+        *(
+            _obstacle(obstacle, label, hits.get(label, 0), most)
+            for obstacle, label in zip(scenario.obstacles, scenario.obstacle_labels, strict=True)
+        ),
         _goal(scenario.goal),
         _start(scenario.start, 0.02 * LONGEST / scale),
         _uphill(scenario.truth.tilt, ((x0 + x1) / 2, (y0 + y1) / 2), 0.12 * LONGEST / scale),
@@ -198,8 +201,8 @@ def _truth(truth: Truth) -> Iterator[Element]:
         yield _polygon(Box(box.center, box.size[:2], box.yaw).corners, "movable", title)
 
 
-def _obstacle(obstacle: Obstacle, hits: int, most: int) -> Element:
-    title = f"{obstacle.name or 'obstacle'}: {counted(hits, 'collision')}"
+def _obstacle(obstacle: Obstacle, label: str, hits: int, most: int) -> Element:
+    title = f"{label}: {counted(hits, 'collision')}"
     if isinstance(obstacle, OccupancyMap):
         found = _cells(obstacle, title)
     elif isinstance(obstacle, Circle):

@@ -38,17 +38,17 @@ function listed() {
   const found = trials.filter((trial) => wanted.every(([name, value]) => matches(trial, name, value)));
   if (list.sort) {
     const sign = list.descending ? -1 : 1, of = list.sort.of;
-    found.sort((a, b) => sign * compared(of(a), of(b)) || a.number - b.number);
+    found.sort((a, b) => compared(of(a), of(b), sign) || a.number - b.number);
   }
   return found;
 }
 
-/** Order of two values; missing ones are last. */
-function compared(a, b) {
+/** Order of two values, descending if `sign` is -1; missing ones are last. */
+function compared(a, b, sign) {
   if (a === b) return 0;
   if (a === null || a === undefined) return 1;
   if (b === null || b === undefined) return -1;
-  return typeof a === "number" ? a - b : String(a).localeCompare(String(b), "en", { numeric: true });
+  return sign * (typeof a === "number" ? a - b : String(a).localeCompare(String(b), "en", { numeric: true }));
 }
 
 function showList() {
@@ -149,7 +149,7 @@ function sortable(table) {
         const found = row.children[k].dataset.value;
         return found === undefined ? row.children[k].textContent : found === "" ? null : Number(found);
       };
-      const rows = [...body.children].sort((a, b) => (descending ? -1 : 1) * compared(value(a), value(b)));
+      const rows = [...body.children].sort((a, b) => compared(value(a), value(b), descending ? -1 : 1));
       body.append(...rows);
     };
   });
@@ -227,10 +227,10 @@ async function openTrial(trial) {
     if (player.trial !== trial) return;
     player.now = 0;
     player.load(drive, document.querySelector(`[data-entry="${CSS.escape(trial.entry.slug)}"] svg.floor`), trial.planning, trial.obstacle);
-    const trees = await stored(trial, "trees");
-    if (trees !== null && player.drive === drive) player.loadTrees(await unpacked(trees));
+    const trees = await stored(trial, "trees"), grown = trees === null ? null : await unpacked(trees);
+    if (grown !== null && player.drive === drive) player.loadTrees(grown);
   } catch (error) {
-    player.refuse(`The replay cannot be read: ${error.message}`);
+    if (player.trial === trial) player.refuse(`The replay cannot be read: ${error.message}`);
   }
 }
 

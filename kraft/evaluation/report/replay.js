@@ -151,7 +151,7 @@ class Stage {
     this.svg.setAttribute("role", "img");
     this.svg.setAttribute("aria-label", "floor plan with the car; the text beside it says what it does");
     this.ground = this.svg.querySelector("g");
-    for (const hit of this.ground.querySelectorAll(".hit")) { // red are all that any trial hit
+    for (const hit of this.ground.querySelectorAll(".hit")) { // coloured are all that any trial hit
       if (!obstacle || !hit.textContent.startsWith(`${obstacle}: `)) hit.classList.remove("hit");
       hit.removeAttribute("style");
     }
