@@ -227,7 +227,7 @@ def _section(value: object) -> Mapping[str, object]:
 
 
 class Latest(StrictModel):
-    """The newest observed pose, predicted forward with the model; the speed is what the model responds to commands."""
+    """The newest observed pose, predicted forward with the model; the speed is the model's response to the commands."""
 
     kind: Literal["latest"]
     """which estimator"""
