@@ -8,7 +8,7 @@ from ompl_ext.arrays import Floats, Matrix
 
 
 def interpolated_rows(x: Floats | float, knots: Floats, rows: Matrix) -> Floats:
-    """Rows (n, k) at `x` (n,), or one row (k,) at a number, of `rows` (m, k) that are known at `knots` (m,), ascending.
+    """Rows (..., k) at `x` (...), which may be a number, of `rows` (m, k) that are known at `knots` (m,), ascending.
 
     Before the first knot and after the last one it is the row there, as `numpy.interp` has it.
     """

@@ -10,6 +10,7 @@ import numpy as np
 
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.exact import SPREAD
+from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.plan import Plan
 from ompl_ext.poses import poses_of
 from ompl_ext.solver import DirtSolver
@@ -90,7 +91,9 @@ def verify(dirt: DirtSolver, plan: Plan) -> Verification:
     nearest, at = stopping.least()
     if not nearest > 0.0:
         problems.append(Violation(Requirement.COLLISION, f"contingency: collides at t = {stop.times[at]:.3f} s"))
-    between = interpolated_poses(poses_of(stop.states, dirt.vehicle), FINE)
+    samples: Floats = np.arange(len(stop.times), dtype=float)
+    fine = samples[:-1, None] + np.linspace(0.0, 1.0, FINE + 1)
+    between = interpolated_rows(fine, samples, poses_of(stop.states, dirt.vehicle))
     problems += _collisions_between(dirt, "contingency", stop.times, between, stopping)
     if not dirt.safety.is_resting(dirt.vehicle, stop.states[-1]):
         problems.append(Violation(Requirement.STANDSTILL, "contingency: does not end at standstill"))
@@ -99,13 +102,6 @@ def verify(dirt: DirtSolver, plan: Plan) -> Verification:
 
 def _not_finite(what: str) -> Violation:
     return Violation(Requirement.CONSISTENCY, f"{what}: a state is not finite")
-
-
-def interpolated_poses(poses: Matrix, count: int) -> Floats:
-    """Poses (n - 1, count + 1, 3) at equal intervals on the straight lines between poses (n, 3)."""
-    shares = np.linspace(0.0, 1.0, count + 1)[None, :, None]
-    found: Floats = poses[:-1, None] + shares * np.diff(poses, axis=0)[:, None]
-    return found
 
 
 class _Clearance:

@@ -66,8 +66,8 @@ def read_logs(
     for candidate in candidates:
         try:
             sources, found = _tables(candidate, stated)
-        except (InputError, OSError) as error:
-            problems += error.diagnostics if isinstance(error, InputError) else [unreadable(candidate.place, error)]
+        except InputError as error:
+            problems += error.diagnostics
             unread += 1
             continue
         tables += map(heading, found)
@@ -101,11 +101,14 @@ def _common(candidates: Sequence[Candidate]) -> str:
 
 
 def _tables(candidate: Candidate, mapping: Mapping) -> tuple[list[Source], list[Table]]:
-    if candidate.kind == "bag":
-        return _bag(candidate.files[0], mapping)
-    # a drive that was killed may leave a file of the guard with its heading alone
-    files = [path for path in candidate.files if path.name != GUARD or _has_rows(path)]
-    sources, tables = _csv_files(files)
+    try:
+        if candidate.kind == "bag":
+            return _bag(candidate.files[0], mapping)
+        # a drive that was killed may leave a file of the guard with its heading alone
+        files = [path for path in candidate.files if path.name != GUARD or _has_rows(path)]
+        sources, tables = _csv_files(files)
+    except OSError as error:
+        raise InputError([unreadable(candidate.place, error)]) from error
     return sources, _of_run(tables) if candidate.kind == "run" else tables
 
 

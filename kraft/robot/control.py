@@ -392,7 +392,7 @@ class Control:
     def _why_blind(self, estimate: Estimate) -> str:
         if self._tracker.poses.reason:
             return f"the watchdog stopped the vehicle: {self._tracker.poses.reason}"
-        if self._tracker.is_blind(estimate):
+        if self._on_board.is_blind(estimate):
             return f"the watchdog stopped the vehicle: no pose for {estimate.age:.2f} s"
         return "the watchdog stopped the vehicle: no message of the planner"
 

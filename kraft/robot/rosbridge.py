@@ -89,10 +89,7 @@ class RosbridgeClient:
             opened = self._library.sync.client.connect(
                 self._settings.url, open_timeout=CONNECT_TIME, max_size=MESSAGE_MAX, compression=None, close_timeout=1.0
             ).__enter__()  # it stays open until `close`
-        except (
-            self._library.exceptions.WebSocketException,
-            ValueError,
-        ) as error:  # a port that is none is a ValueError
+        except (self._library.exceptions.WebSocketException, ValueError) as error:  # ValueError for a port that is none
             raise OSError(str(error)) from error
         opened.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         opened.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)

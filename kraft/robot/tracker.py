@@ -128,17 +128,13 @@ class Tracker:
         """Estimate of the state."""
         return self._estimator.estimate(now)
 
-    def is_blind(self, estimate: Estimate) -> bool:
-        """Whether the newest believed pose is too old."""
-        return self.on_board.is_blind(estimate)
-
     def command(self, now: float, estimate: Estimate) -> tuple[Floats, Reference]:
         """Command (nu,) for now, and the reference that it tracks."""
         reference = self.on_board.reference(estimate)
         stands = self.on_board.is_stopping and now >= reference.end
         tracked = self._standing(estimate, reference) if stands else reference
         command = self.model.clamped(self._controller.command(estimate, tracked))
-        if now < 0.0 or (self.is_blind(estimate) and now >= reference.end):
+        if now < 0.0 or (self.on_board.is_blind(estimate) and now >= reference.end):
             command = self.model.rest.copy()  # what holds a vehicle on a slope is not known any more
         return command, reference
 

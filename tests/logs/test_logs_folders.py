@@ -1,0 +1,148 @@
+"""Which logs files and folders hold: each once, and one that cannot be read is a problem of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.logs import Drive, drive, located, wide_columns, write_pair, write_wide
+
+from kraft.errors import Code, InputError
+from kraft.logs.discover import Candidate, without_repeated
+from kraft.logs.log import Log
+from kraft.logs.reader import read_logs
+
+MADE = drive()
+WIDE = wide_columns(np.arange(0.025, 5.9, 0.025), MADE)
+
+
+def read_one(path: Path, **options: object) -> Log:
+    found = read_logs(path, **options)  # type: ignore[arg-type]
+    assert not found.problems
+    assert len(found.logs) == 1
+    return found.logs[0]
+
+
+def problems_of(path: Path) -> list[str]:
+    with pytest.raises(InputError) as error:
+        read_logs(path)
+    return located(error.value.diagnostics, path.parent)
+
+
+def same_drive(log: Log, made: Drive) -> None:
+    (part,) = log.parts
+    np.testing.assert_allclose(part.poses, made.poses, atol=1e-9)
+    np.testing.assert_allclose(part.pose_times, made.pose_times, atol=1e-9)
+    np.testing.assert_allclose(part.commands, made.commands, atol=1e-6)
+    np.testing.assert_allclose(part.command_times, made.command_times, atol=1e-9)
+
+
+def test_a_folder_without_logs_is_refused_with_what_it_holds(tmp_path: Path) -> None:
+    assert problems_of(tmp_path) == [f"{tmp_path.name} not-found"]
+    (tmp_path / "notes.md").write_text("x")
+    assert problems_of(tmp_path) == [f"{tmp_path.name} not-found"]
+    assert problems_of(tmp_path / "notes.md") == ["notes.md mismatch"]
+    assert problems_of(tmp_path / "note.md") == ["note.md not-found"]
+
+
+def test_one_bad_log_is_a_problem_and_the_rest_is_read(tmp_path: Path) -> None:
+    write_wide(tmp_path / "b" / "good.csv")
+    write_wide(tmp_path / "good.csv")
+    (tmp_path / "bad.csv").write_text("t,x\n1,2\n")
+    (tmp_path / "worse.bag").write_bytes(b"#ROSBAG V2.0\n")
+    found = read_logs(tmp_path)
+    assert [log.name for log in found.logs] == ["good", "b/good"]
+    assert {Path(problem.file).name for problem in found.problems} == {"bad.csv", "worse.bag"}
+
+
+def test_logs_of_the_same_name_are_told_apart(tmp_path: Path) -> None:
+    write_wide(tmp_path / "a" / "log.csv")
+    write_wide(tmp_path / "b" / "log.csv")
+    names = [log.name for log in read_logs([tmp_path / "a" / "log.csv", tmp_path / "b" / "log.csv"]).logs]
+    assert len(set(names)) == 2
+
+
+@pytest.mark.parametrize("again", [".", "logs", "logs/run_2", "logs/run_2/poses.csv", "link"])
+def test_a_log_that_is_found_again_counts_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, again: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("run_1", "run_2"):
+        write_pair(tmp_path / "logs" / name, MADE)
+    (tmp_path / "link").symlink_to(tmp_path / "logs" / "run_2")
+    before = ["logs"] if again != "." else []
+    found = read_logs([*before, again])
+    assert len(found.logs) == len({log.name for log in found.logs}) == 2
+    (problem,) = found.problems
+    assert problem.code == Code.DUPLICATE
+    assert ("1 other log" in problem.problem) == (again == "logs")
+
+
+def test_a_part_of_a_log_is_not_counted_besides_the_whole_wherever_it_stands(tmp_path: Path) -> None:
+    part = Candidate("b", "bag", (tmp_path / "a" / "1.mcap",))
+    whole = Candidate("a", "bag", (tmp_path / "a",))
+    other = Candidate("c", "csv", (tmp_path / "c.csv",))
+    (tmp_path / "a").mkdir()
+    for name in ("0.mcap", "1.mcap", "metadata.yaml"):
+        (tmp_path / "a" / name).touch()
+    for found in ([part, whole, other], [whole, other, part]):
+        kept, (said,) = without_repeated(found)
+        assert kept == [whole, other]
+        assert said.file == str(tmp_path / "a" / "1.mcap")
+    assert without_repeated([whole, other]) == ([whole, other], [])
+
+
+def test_files_that_are_given_again_make_one_log(tmp_path: Path) -> None:
+    write_pair(tmp_path, MADE)
+    commands, poses = tmp_path / "commands.csv", tmp_path / "poses.csv"
+    for paths in ([commands, poses, commands, poses], [commands, commands, poses], [poses, tmp_path]):
+        found = read_logs(paths)
+        same_drive(found.logs[0], MADE)
+        assert len(found.logs) == 1
+        assert len(found.problems) == 1
+    wide = write_wide(tmp_path / "other" / "wide.csv")
+    found = read_logs([wide, wide, wide])
+    assert [log.name for log in found.logs] == ["wide"]
+    assert located(found.problems, wide.parent) == ["wide.csv duplicate"]
+
+
+def test_the_truth_alone_is_refused(tmp_path: Path) -> None:
+    write_pair(tmp_path, MADE)
+    (tmp_path / "truth.csv").write_text("t,x,y\n0,1,2\n")
+    assert problems_of(tmp_path / "truth.csv") == ["truth.csv mismatch"]
+    found = read_logs(sorted(tmp_path.iterdir()))
+    same_drive(found.logs[0], MADE)
+    assert len(found.problems) == 1
+
+
+def test_no_path_is_no_log() -> None:
+    with pytest.raises(InputError) as error:
+        read_logs([])
+    assert located(error.value.diagnostics, Path()) == ["logs missing"]
+
+
+def test_a_folder_that_cannot_be_read_is_a_problem_and_the_rest_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_wide(tmp_path / "logs" / "a.csv")
+    (tmp_path / "logs" / "closed").mkdir()
+    entries = Path.iterdir
+
+    def refused(self: Path) -> Iterator[Path]:
+        if self.name == "closed":
+            raise PermissionError(13, "Permission denied")
+        return entries(self)
+
+    monkeypatch.setattr(Path, "iterdir", refused)
+    found = read_logs(tmp_path / "logs")
+    assert [log.name for log in found.logs] == ["a"]
+    assert located(found.problems, tmp_path) == ["logs/closed unreadable"]
+
+
+def test_logs_without_the_columns_may_be_named_by_any_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.csv", "b.csv"):
+        Path(name).write_text("p,q\n1,2\n")
+    with pytest.raises(InputError) as error:
+        read_logs([tmp_path / "a.csv", "b.csv"])
+    assert {Path(d.file).name for d in error.value.diagnostics} == {"a.csv", "b.csv"}
