@@ -77,7 +77,7 @@ def check_robot(scenario: Scenario, vehicle: Vehicle) -> None:
         InputError: at the line that states the robot, if not.
     """
     kind = scenario.truth.kind or natural_robot(vehicle)[0].kind
-    if kind != "car" or not is_car(vehicle):
+    if kind != "car" or not is_car(vehicle) or scenario.truth.car is not None:  # a bundled car always can
         from kraft.simulation.true_world import check_world  # loads the simulator
 
         check_world(scenario, vehicle)

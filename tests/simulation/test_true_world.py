@@ -18,6 +18,7 @@ from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
 from kraft.simulation.car import F1TENTH, MUSHR, design_of
 from kraft.simulation.true_world import ModelWorld, TrueWorld, check_world, world_of
 from kraft.simulation.world import World
+from kraft.trial.planning_vehicle import check_robot
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.true_robot import CarDimensions, Drive, Servo, Wheels
 from ompl_ext.exact import ExactClearance
@@ -169,8 +170,13 @@ def test_obstacles_that_bound_the_room_are_the_scenarios_alone() -> None:
     "car", ["track: 0.4, servo: {angle_max_deg: 60, linkage: 1}", "servo: {angle_max_deg: 50, linkage: 2}"]
 )
 def test_a_car_that_would_turn_about_a_point_between_its_wheels_is_refused(car: str) -> None:
-    (problem,) = raised(lambda: world_of(hall(f"car: {{{car}}}"), vehicle("mushr-drive"), 0))
-    assert (problem.code, problem.path) == (Code.GEOMETRY, "truth.car")
+    scene = hall(f"car: {{{car}}}")
+    for check in (
+        lambda: world_of(scene, vehicle("mushr-drive"), 0),
+        lambda: check_robot(scene, vehicle("mushr-drive")),
+    ):
+        (problem,) = raised(check)
+        assert (problem.code, problem.path) == (Code.GEOMETRY, "truth.car")
 
 
 def test_a_car_has_the_dimensions_that_are_given_and_those_of_its_preset() -> None:
