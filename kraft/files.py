@@ -38,6 +38,17 @@ def check_writable(path: Path) -> None:
         raise InputError.of(str(path), problem, EXPECTED, Code.UNWRITABLE) from None
 
 
+def check_new_folder(path: Path, expected: str = "expected a new folder") -> None:
+    """Check that a folder can be made at `path`, and that nothing is there; `expected` is what the message asks for.
+
+    Raises:
+        InputError: if something is there, or nothing can be written.
+    """
+    if os.path.lexists(path):
+        raise InputError.of(str(path), "is there already", expected, Code.EXISTS)
+    check_writable(path)
+
+
 def check_all(*checks: Callable[[], object]) -> None:
     """Run every check and raise their problems together.
 

@@ -165,7 +165,12 @@ class CallbackSearch:
         self._free_unused_states()
 
     def add_root(self, state: ob.State) -> None:
-        """Add a start state."""
+        """Add a start state.
+
+        Raises:
+            MemoryError: if the tree has `max_nodes` nodes.
+        """
+        self._reserve(1)
         slot = self._new_state()
         self._si.copyState(self._states[slot], state)
         self._work.source[0] = slot

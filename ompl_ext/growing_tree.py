@@ -8,10 +8,10 @@ import numpy as np
 
 from ompl_ext.arrays import Words
 from ompl_ext.kernels import kernel_types as at
-from ompl_ext.kernels.kernel_types import Problem, Retained, Tree
+from ompl_ext.kernels.kernel_types import Lanes, Problem, Retained, Tree
 from ompl_ext.kernels.search import search
 from ompl_ext.kernels.specialise import optional_module
-from ompl_ext.kernels.tree_memory import first_nodes, new_tree, reset, reset_indices, with_room
+from ompl_ext.kernels.tree_memory import add_root, first_nodes, new_tree, reset, reset_indices, with_room
 from ompl_ext.problem import lanes_of
 from ompl_ext.query import Settings
 from ompl_ext.retainment import edges_to_retain
@@ -51,6 +51,15 @@ class GrowingTree:
         """Reserve memory for so many more nodes, as far as the limit allows."""
         if len(self.tree.state) - int(self.tree.count[at.SIZE]) < nodes:
             self._memory = self.tree = with_room(self._memory, nodes, self._max_nodes)
+
+    def add_root(self, work: Lanes) -> None:
+        """Add the end of lane 0 as a root.
+
+        Raises:
+            MemoryError: if the tree has as many nodes as it may have.
+        """
+        self.reserve(1)
+        add_root(self.tree, work)
 
     def add(self, problem: Problem, edges: Retained) -> None:
         """Add the free and safe ones of some edges."""
@@ -96,7 +105,7 @@ class _SparseTree:
         self._witnesses = new_tree(1, 1, 1, bounds)
         self._known = 0, 0, 0  # nodes, iterations and pruned nodes when the witnesses were up to date
 
-    def grow(self, tree: Tree, problem: Problem, work: at.Lanes, brake: at.Lanes, iterations: int) -> None:
+    def grow(self, tree: Tree, problem: Problem, work: Lanes, brake: Lanes, iterations: int) -> None:
         """Visit nodes; witnesses are found anew if nodes were added or removed since."""
         count, memory = tree.count, len(tree.state)
         self._witnesses = with_room(self._witnesses, memory - int(self._witnesses.count[at.SIZE]), memory)

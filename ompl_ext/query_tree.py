@@ -15,9 +15,10 @@ from ompl_ext.growing_tree import GrowingTree
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.costtogo import UNREACHABLE
 from ompl_ext.kernels.rng import generator
-from ompl_ext.kernels.tree_memory import add_root, best_node, path_to
+from ompl_ext.kernels.tree_memory import best_node, path_to
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
+from ompl_ext.problem import set_goal_region
 from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.retainment import RetainableEdges, edges_to_retain, remaining_edges, retainable_edges
 from ompl_ext.vehicle import Vehicle
@@ -113,6 +114,9 @@ class QueryTree(EdgeChecker):
         """Add a start state; returns its slack as `start` does.
 
         One in the goal is a plan only if it keeps delta(v), and has a contingency like every end of a plan.
+
+        Raises:
+            MemoryError: if the tree is full and its memory cannot grow.
         """
         state, still, work = np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), self.work
         slack = self._propagate(state, still, 0.0)
@@ -121,7 +125,7 @@ class QueryTree(EdgeChecker):
             if unsafe or self._propagate(state, still, 0.0, 0.0) < 0.0:
                 work.at_goal[0] = 0
         for each in self._trees:
-            add_root(each.tree, work)
+            each.add_root(work)
         return slack
 
     def retain(self, plan: Plan, elapsed: float = 0.0) -> int:
@@ -219,10 +223,9 @@ class QueryTree(EdgeChecker):
         if self.goal is None:
             raise ValueError("there is no goal to aim for")
         self.goal = replace(self.goal, radius=radius)
-        self._problem.scalar[at.GOAL_RADIUS] = radius
         if tolerance is not None and self.goal.has_heading:
             self.goal = replace(self.goal, tolerance=tolerance)
-            self._problem.scalar[at.GOAL_TOLERANCE] = math.cos(tolerance)
+        set_goal_region(self._problem, self.goal, self.vehicle, self.settings)
 
     def goal_nodes(self) -> Ints:
         """Nodes in the goal region (n,), the one with the lowest cost first."""

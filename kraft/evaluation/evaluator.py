@@ -13,13 +13,14 @@ from kraft.driving.control import check_packages, kernel_modules, needs_steps
 from kraft.errors import Code, Diagnostic, Problems, Unreachable, out_of_range
 from kraft.evaluation.cluster import Cluster
 from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, WARNINGS, Experiment, MethodLike, experiment_of
-from kraft.evaluation.folder import Folder, check_exists, check_new, create, reopen, write_results
+from kraft.evaluation.folder import NEW, Folder, check_exists, create, reopen, write_results
 from kraft.evaluation.job import Executor, Log
 from kraft.evaluation.journal import Key, TrialRow
 from kraft.evaluation.processes import Processes
 from kraft.evaluation.report import CommandLine
 from kraft.evaluation.suite import ScenarioLike, Settings, Sweeps, entries_of
 from kraft.evaluation.summary import Summary, summarise
+from kraft.files import check_new_folder
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
 from kraft.text import counted
@@ -149,7 +150,7 @@ def check_arguments(
         diagnostic = Diagnostic("resume", "is given without a folder", expected, code=Code.MISSING, argument=True)
         problems.found.append(diagnostic)
     if out is not None:
-        problems.of(lambda: (check_exists if resume else check_new)(Path(out)))
+        problems.of(lambda: check_exists(Path(out)) if resume else check_new_folder(Path(out), NEW))
     if scenarios is not None and suite is not None:
         problem, expected = "is given together with scenarios", "expected either one"
         problems.found.append(Diagnostic("suite", problem, expected, code=Code.CONFLICT, argument=True))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,9 +18,10 @@ from kraft.evaluation.ompl_benchmark import write_benchmark
 from kraft.evaluation.report import CommandLine, Results
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import SCHEMA, Summary, evaluation_json, recorded_wall, wall_of
-from kraft.files import check_writable, write_json, write_whole
+from kraft.files import check_new_folder, write_json, write_whole
 
 ROOT: Final = Path("results")
+NEW: Final = "expected a new folder, or to resume this one"
 
 
 @dataclass
@@ -56,7 +56,7 @@ def create(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> 
     Raises:
         InputError: if the folder exists or cannot be written.
     """
-    check_new(path)
+    check_new_folder(path, NEW)
     try:
         path.mkdir(parents=True)
     except OSError as error:
@@ -64,17 +64,6 @@ def create(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> 
             str(path), f"cannot be created: {error.strerror}", "expected a new folder", Code.UNWRITABLE
         ) from None
     return _new_folder(path, experiment, arguments)
-
-
-def check_new(path: Path) -> None:
-    """Check that a folder can be created.
-
-    Raises:
-        InputError: if it exists or cannot be written.
-    """
-    if os.path.lexists(path):
-        raise InputError.of(str(path), "is there already", "expected a new folder, or to resume this one", Code.EXISTS)
-    check_writable(path)
 
 
 def reopen(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> Folder:

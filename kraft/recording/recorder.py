@@ -11,7 +11,6 @@ LOGS/run_01/manifest.json   manoeuvre, start, vehicle, scenario, seed, versions
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -21,7 +20,7 @@ import numpy as np
 
 from kraft.driving.vehicle_model import VehicleModel, model_of
 from kraft.errors import Code, InputError
-from kraft.files import check_writable, new_folder, write_csv, write_json
+from kraft.files import new_folder, write_csv, write_json
 from kraft.planning.search import check_seed
 from kraft.planning.workspace import workspace_of
 from kraft.provenance import SIMULATION, plain, plain_hash, versions
@@ -263,17 +262,6 @@ UNITS: Final = {
     "t": "s", "throttle": "1", "steering": "rad", "x": "m", "y": "m", "yaw": "rad", "speed": "m/s",
 }  # fmt: skip
 """Units of the columns; controls of other vehicles than cars have those of their model."""
-
-
-def check_log_folder(folder: Path) -> None:
-    """Check that a new folder of logs can be created.
-
-    Raises:
-        InputError: if the folder exists or cannot be written.
-    """
-    if os.path.lexists(folder):
-        raise InputError.of(str(folder), "is there already", "expected a new folder for the logs", Code.EXISTS)
-    check_writable(folder)
 
 
 def write_recording(folder: Path, scenario: Scenario, arguments: Mapping[str, Any], recording: Recording) -> Path:

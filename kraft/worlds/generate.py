@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError, Problems, Unreachable, out_of_range
+from kraft.files import check_new_folder
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_placement, check_reachable
 from kraft.planning.plan import finds_plan
@@ -29,7 +30,6 @@ from kraft.worlds.world import (
     World,
     Written,
     above,
-    check_new,
     finished,
     no_log,
     reference_of,
@@ -220,7 +220,7 @@ def generate_worlds(
     problems.found += [*out_of_range("count", count, 1, COUNT_MAX), *out_of_range("seed", seed, 0)]
     problems.found += _layout_problems(kind, density)
     reference = None if vehicle is None else problems.of(lambda: reference_of(vehicle))
-    problems.of(lambda: check_new(out))
+    problems.of(lambda: check_new_folder(out))
     problems.check()
     worlds: list[World] = []
     for each, number in _numbered(kind, seed, count):

@@ -22,6 +22,7 @@ from kraft.config.schema import LENGTH_MIN, Coordinate, Length, StrictModel, che
 from kraft.config.source import Place, Source
 from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError, Problems
+from kraft.files import check_new_folder
 from kraft.scenario import OccupancyMap
 from kraft.scenario.geometry import read_map
 from kraft.text import alternatives, counted, suggestion
@@ -35,7 +36,6 @@ from kraft.worlds.world import (
     World,
     Written,
     above,
-    check_new,
     no_log,
     plain_name,
     reference_of,
@@ -96,7 +96,7 @@ def read_sources(request: Request) -> list[Imported]:
     """
     problems = Problems()
     problems.found += _argument_problems(request)
-    problems.of(lambda: check_new(request.out))
+    problems.of(lambda: check_new_folder(request.out))
     if (vehicle := request.vehicle) is not None:
         request = replace(request, vehicle=problems.of(lambda: reference_of(vehicle)))
     found = [problems.of(partial(_read, request, path)) for path in _files(request, problems.found)]

@@ -12,7 +12,7 @@ from typing import Any, Final, TypeAlias
 from kraft.config.overrides import value_text
 from kraft.config.source import Place
 from kraft.errors import Code, Diagnostic, InputError, Unreachable
-from kraft.files import check_writable, new_folder
+from kraft.files import check_new_folder, new_folder
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_placement, check_reachable
 from kraft.planning.workspace import start_state, vehicle_of_task
@@ -131,7 +131,7 @@ def write_worlds(worlds: Sequence[World], out: Path, suite: str, description: st
         InputError: with every problem of the worlds, or if the folder exists or cannot be written.
         Unreachable: with every goal that no path leads to, if there is no other problem.
     """
-    check_new(out)
+    check_new_folder(out)
     _check_names(worlds)
     with new_folder(out) as folder:
         for world in worlds:
@@ -143,17 +143,6 @@ def write_worlds(worlds: Sequence[World], out: Path, suite: str, description: st
         heading = [f"name: {value_text(plain_name(suite))}", f"description: {value_text(description)}", "entries:"]
         (folder / SUITE).write_text("\n".join([*heading, *entries]) + "\n", encoding="utf-8")
     return Written(out, tuple(out / f"{world.name}.yaml" for world in worlds))
-
-
-def check_new(out: Path) -> None:
-    """Check that the folder for worlds can be made.
-
-    Raises:
-        InputError: if it exists or cannot be written.
-    """
-    if out.exists():
-        raise InputError.of_argument("out", f"{out} is there already", "expected a new folder", Code.EXISTS)
-    check_writable(out)
 
 
 def _check_names(worlds: Sequence[World]) -> None:

@@ -17,7 +17,7 @@ from kraft.driving.messages import Cycle
 from kraft.driving.method import Method, load_method
 from kraft.errors import Diagnostic, InputError, MissingError, Problems, out_of_range
 from kraft.evaluation.statistics import percentile, while_driving
-from kraft.files import write_json
+from kraft.files import check_new_folder, write_json
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
 from kraft.provenance import SIMULATION, plain, versions
@@ -32,7 +32,6 @@ from kraft.text import alternatives, counted
 from kraft.trial.planning_vehicle import planning_vehicle
 from kraft.trial.plant import camera_model
 from kraft_cli.work.run import cycle_line
-from kraft_cli.work.run_folder import check_run_folder
 from kraft_cli.work.verbose import vehicle_details
 
 DRIVE_SCHEMA: Final = "kraft.drive/1"
@@ -93,7 +92,7 @@ def drive_robot(
     out, bag = request.out, request.bag
     problems = Problems()
     spec = problems.of(lambda: resolve(request))
-    problems.of(lambda: None if out is None else check_run_folder(out))
+    problems.of(lambda: None if out is None else check_new_folder(out))
     problems.of(lambda: None if bag is None else check_bag(bag))
     problems.check()
     assert spec is not None, "every problem was raised"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,7 +12,7 @@ import numpy as np
 
 from kraft.driving.vehicle_model import VehicleModel, model_of
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
-from kraft.files import check_writable
+from kraft.files import check_new_folder
 from kraft.logs.log import Log, Part
 from kraft.planning.compilation import ensure_compiled
 from kraft.sysid.base_vehicle import COMMANDS_OF, BaseVehicle, for_commands, load_base_vehicle
@@ -69,11 +68,7 @@ def check_next(request: NextRequest) -> None:
         expected = "expected length and width in m, as in 6,4"
         problems.found.append(Diagnostic("area", f"is {request.area!r}", expected, code=Code.SYNTAX, argument=True))
     if request.commands is not None:
-        if os.path.lexists(request.commands):
-            expected = "expected a new folder for the commands"
-            problems.found.append(Diagnostic(str(request.commands), "is there already", expected, code=Code.EXISTS))
-        else:
-            problems.of(partial(check_writable, request.commands))
+        problems.of(partial(check_new_folder, request.commands, "expected a new folder for the commands"))
     problems.check()
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
+from kraft.files import check_new_folder
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.workspace import vehicle_of_task
 from kraft.recording.manoeuvres import Manoeuvre, read_commands
@@ -118,7 +119,6 @@ def _inputs(request: RecordRequest) -> _Inputs:
     Raises:
         InputError: with the problems of all options and files.
     """
-    from kraft.recording.recorder import check_log_folder
     from kraft.robot.bag import check_bag
 
     problems = Problems()
@@ -130,7 +130,7 @@ def _inputs(request: RecordRequest) -> _Inputs:
         vehicle = problems.of(lambda: load_vehicle(named))
     elif scenario is not None:
         vehicle = problems.of(lambda: vehicle_of_task(scenario))
-    problems.of(lambda: check_log_folder(out))
+    problems.of(lambda: check_new_folder(out, "expected a new folder for the logs"))
     if bag is not None:
         problems.of(lambda: check_bag(bag))
     prior = None if model is None else problems.of(lambda: load_prior(model, vehicle))

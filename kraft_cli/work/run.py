@@ -18,6 +18,7 @@ from kraft.errors import InputError, Problems
 from kraft.evaluation.experiment import WARNINGS, Cell, Experiment, experiment_of
 from kraft.evaluation.statistics import percentile, while_driving
 from kraft.evaluation.summary import measures_json
+from kraft.files import check_new_folder
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
 from kraft.planning.stated_speed import faster_than_stated
@@ -25,7 +26,7 @@ from kraft.scenario import Scenario
 from kraft.text import counted, finite, metres
 from kraft.trial.measures import Measures
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
-from kraft_cli.work.run_folder import check_run_folder, write_run
+from kraft_cli.work.run_folder import write_run
 from kraft_cli.work.trial_outputs import NO_OUTPUT, OutputOptions, TrialOutputs
 from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
 from ompl_ext.vehicle import Footprint
@@ -73,7 +74,7 @@ def run_scenario(
     timer = StageTimer(detail)
     out, problems = request.out, Problems()
     experiment = problems.of(lambda: _experiment(request))
-    problems.of(lambda: None if out is None else check_run_folder(out))
+    problems.of(lambda: None if out is None else check_new_folder(out))
     problems.of(request.outputs.check)
     problems.check()
     assert experiment is not None, "every problem was raised"

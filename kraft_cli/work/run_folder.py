@@ -7,26 +7,14 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.errors import Code, InputError
 from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.manifest import MANIFEST, manifest_of
-from kraft.files import check_writable, new_folder, write_csv, write_json, write_whole
+from kraft.files import new_folder, write_csv, write_json, write_whole
 from kraft.trial.result import TrialResult, cycle_content
 from ompl_ext.vehicle import Vehicle
 
 MANIFEST_SCHEMA: Final = "kraft.run-manifest/1"
 SCHEMA: Final = "kraft.run/1"
-
-
-def check_run_folder(folder: Path) -> None:
-    """Check that a new folder of a run can be created.
-
-    Raises:
-        InputError: if the folder exists or cannot be written.
-    """
-    if folder.exists():
-        raise InputError.of(str(folder), "is there already", "expected a new folder", Code.EXISTS)
-    check_writable(folder)
 
 
 def write_run(

@@ -226,8 +226,14 @@ def set_costs_to_go(tree: Tree, togo: Floats, resolution: float, cycle: float) -
 
 
 def add_root(tree: Tree, work: Lanes) -> None:
-    """Add the end of lane 0, which starts and ends in `work.source`, as a root; its region is the whole workspace."""
+    """Add the end of lane 0, which starts and ends in `work.source`, as a root; its region is the whole workspace.
+
+    Raises:
+        MemoryError: if the tree is full.
+    """
     node = int(tree.count[SIZE])
+    if node >= len(tree.state):
+        raise MemoryError(f"no room for another start in a tree of {node:,} nodes")
     tree.state[node] = work.source
     tree.edge[node] = 0.0
     tree.value[node, :Q_DIM] = work.end[: Q_DIM * LANE_WIDTH : LANE_WIDTH]

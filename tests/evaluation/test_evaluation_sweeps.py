@@ -244,14 +244,14 @@ def test_anchors_of_entries_have_no_spaces_and_differ(monkeypatch: pytest.Monkey
     assert {f"#{each}" for each in found} <= set(entries) <= {f"#{each}" for each in ids}
 
 
-@pytest.mark.parametrize("name", ["trials", "entries", "sweeps"])
+@pytest.mark.parametrize("name", ["trials", "entries", "sweeps", "replay-time", "filter-method", "trials-more"])
 def test_an_entry_with_the_name_of_a_part_of_the_page_has_another_anchor(
     monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     fake_trials.use(monkeypatch, measured, inline=True)
     Path("own.yaml").write_text((ROOT / "scenarios/turns.yaml").read_text().replace("name: turns", f"name: {name}"))
     evaluate(["own.yaml"], ["kraft"], trials=1, out="out")
-    assert read_results(Path("out")).slugs == {name: f"{name}-entry"}
+    assert read_results(Path("out")).slugs == {name: f"entry-{name}"}
     ids = [attributes["id"] for _, attributes in Tags(Path("out/report.html").read_text()).found if "id" in attributes]
     assert len(set(ids)) == len(ids)
 

@@ -391,6 +391,24 @@ def test_memory_grows_up_to_the_most_nodes(callbacks: bool, monkeypatch: pytest.
     assert time.perf_counter() - began < 20.0  # memory has ended the search
 
 
+@pytest.mark.parametrize("callbacks", [False, True])
+def test_a_further_start_finds_room_or_is_refused(callbacks: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ompl_ext.callback.CAPACITY" if callbacks else "ompl_ext.compiled_search.CAPACITY", 10)
+
+    def with_starts(count: int) -> int:
+        setup = arena()
+        state = setup.getSpaceInformation().allocState()
+        for k, value in enumerate(START):
+            state[k] = value
+        for _ in range(count - 1):
+            setup.addStartState(state)
+        return len(planned(setup, 1, use_callbacks=callbacks, max_nodes=100).tree().parents)
+
+    assert with_starts(99) >= 99
+    with pytest.raises(MemoryError, match="no room for another start"):
+        with_starts(101)
+
+
 def test_benchmark_runs_dirt_beside_ompls_planners(tmp_path: Path) -> None:
     setup = arena()
     setup.setup()

@@ -257,7 +257,7 @@ def test_a_map_stays_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert (scene.bounds.x, scene.bounds.y, scene.goal.radius) == ((1.0, 7.0), (2.0, 6.0), 0.25)
     assert sorted(path.name for path in out.iterdir()) == ["floor.yaml", "suite.yaml"]
     assert main(["import", "map", str(source), "--start", "2,4,0", "--goal", "6,4", "--out", str(out)]) == 2
-    assert "--out" in capsys.readouterr().err
+    assert f"{out}: is there already; expected a new folder" in capsys.readouterr().err
 
 
 def test_a_map_is_found_from_a_folder_that_is_a_link(tmp_path: Path) -> None:

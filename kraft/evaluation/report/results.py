@@ -27,9 +27,11 @@ VERSIONS: Final = ("kraft", "mujoco", "python")
 """Programs whose versions the page has."""
 
 ANCHORS = (
-    "overview", "causes", "methods", "sweeps", "trials", "entries", "replay", "data", "stage", "plots", "show"
+    "overview", "causes", "methods", "sweeps", "trials", "entries", "replay", "data", "stage", "plots"
 )  # fmt: skip
 """Anchors of the page itself, which no entry may have."""
+ANCHORED = ("filter-", "replay-", "trials-", "show")
+"""Beginnings of further ones, and of addresses that open something else."""
 
 
 class _Part(BaseModel):
@@ -204,7 +206,9 @@ class Results:
     @cached_property
     def slugs(self) -> dict[str, str]:
         """Each entry's name as an anchor and as a part of a file's name."""
-        taken = {f"{name}-entry" if name in ANCHORS else name: name for name in self.entries}
+        taken = {
+            f"entry-{name}" if name in ANCHORS or name.startswith(ANCHORED) else name: name for name in self.entries
+        }
         return {taken[name]: slug for name, slug in slugs(taken).items()}
 
     @cached_property
