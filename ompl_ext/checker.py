@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 
@@ -139,6 +141,16 @@ class EdgeChecker:
         """Set the time for which plans keep the clearance and after which they have a contingency, s."""
         self.safety = replace(self.safety, cycle=seconds)
         self._problem.scalar[at.CYCLE] = seconds
+
+    @contextmanager
+    def with_clearance_until(self, seconds: float) -> Iterator[None]:
+        """Let edges that begin before `seconds` s keep delta(t, v), instead of those before the end of the cycle."""
+        cycle = self.safety.cycle
+        self.set_cycle(seconds)
+        try:
+            yield
+        finally:
+            self.set_cycle(cycle)
 
     def set_parameters(self, values: Floats) -> None:
         """Set the parameters of the vehicle (np,), in its order; the cost-to-go stays that of the first ones."""

@@ -99,10 +99,14 @@ class DeviationBound:
 
 
 class BoundCalibration:
-    """Bounds for the coming cycle, and their calibration by the cycles before."""
+    """Bounds for the coming cycle, and their calibration by the cycles before.
+
+    They are for speeds up to `fastest` m/s: more than `top_speed` of a car that is stronger than its file says.
+    """
 
     def __init__(self, settings: CalibratedBound, vehicle: Vehicle) -> None:
         self._settings, self._vehicle = settings, vehicle
+        self.fastest = vehicle.top_speed
         self._ratios, self._count = settings.prior_cycles * settings.initial**2, settings.prior_cycles
         self._last: tuple[PredictedMotion, DeviationBound] | None = None
         self._turning = turning_error(vehicle)
@@ -150,7 +154,7 @@ class BoundCalibration:
             per_speed=along * uncertainty.delay,
             per_time=along * growth,
             horizon=self._settings.horizon,
-            fastest=vehicle.top_speed,
+            fastest=self.fastest,
             turning=along * self._turning,
         )
 

@@ -52,15 +52,19 @@ class CommandLoss:
         return worst
 
     def _slack_after(self, state: Floats, held: Floats, since: float) -> float:
-        """Slack from the last command to standstill, negative if the robot does not stand within SAFETY's horizon."""
-        dirt, safety = self.dirt, self.dirt.safety
-        trajectory, slack = dirt.edge(state, held, self.timeout, since)
-        for _ in range(math.ceil(safety.horizon / STEP)):
-            if slack < 0.0 or safety.is_resting(dirt.vehicle, trajectory[-1]):
-                return slack
-            control = braking_control(dirt.vehicle, trajectory[-1], held)
-            trajectory, step_slack = dirt.edge(trajectory[-1], control, STEP, since)
-            slack = min(slack, step_slack)
+        """Slack from the last command to standstill, negative if the robot does not stand within SAFETY's horizon.
+
+        The last command is sent `since` s after the beginning of the cycle, from which on the clearance grows.
+        """
+        dirt, horizon, brakes = self.dirt, self.dirt.safety.horizon, since + self.timeout
+        with dirt.with_clearance_until(brakes + horizon + STEP):
+            trajectory, slack = dirt.edge(state, held, self.timeout, since)
+            for step in range(math.ceil(horizon / STEP)):
+                if slack < 0.0 or dirt.safety.is_resting(dirt.vehicle, trajectory[-1]):
+                    return slack
+                control = braking_control(dirt.vehicle, trajectory[-1], held)
+                trajectory, step_slack = dirt.edge(trajectory[-1], control, STEP, brakes + step * STEP)
+                slack = min(slack, step_slack)
         return -1.0
 
     def keeps(self, plan: Plan, cycle: float) -> bool:

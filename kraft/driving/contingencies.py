@@ -113,11 +113,12 @@ class ContingencyRanking:
         predicted = self._predict.until_rest(state, time, reference, self._cycle_start)
         if predicted.slack >= 0.0:
             return TrackedContingency(reference, origin, predicted)
-        coarse = predicted.states[::3]
-        poses = poses_of(coarse, self._dirt.vehicle)
-        hits = self._dirt.exact.distances(poses) <= 0.0
-        speeds = np.abs(coarse[:, self._dirt.vehicle.rest_indices[0]])
-        return TrackedContingency(reference, origin, predicted, float(speeds[hits.argmax()]) if hits.any() else 0.0)
+        states, vehicle = predicted.states, self._dirt.vehicle
+        hits = np.flatnonzero(self._dirt.exact.distances(poses_of(states, vehicle)) <= 0.0)
+        if len(hits) == 0:
+            return TrackedContingency(reference, origin, predicted)
+        before = states[max(int(hits[0]) - 1, 0)]  # it may stand where it touches
+        return TrackedContingency(reference, origin, predicted, abs(float(before[vehicle.rest_indices[0]])))
 
     def _rounded_slack(self, states: Matrix, times: Floats) -> int:
         return _rounded(least_slack(self._dirt, states, times - self._cycle_start))

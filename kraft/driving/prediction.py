@@ -57,12 +57,9 @@ class ClosedLoopPredictor:
         ticks = int(np.searchsorted(times, latest, side="right"))
         during = self._ticks(times[:ticks], np.full(ticks, self.period), times[:ticks] - cycle_start)
         start = np.asarray(state, dtype=float)
-        controller, cycle = copy.deepcopy(self.controller), self.dirt.safety.cycle
-        self.dirt.set_cycle(float(times[-1]) - cycle_start)  # edges keep the clearance only in the cycle
-        try:
+        controller = copy.deepcopy(self.controller)
+        with self.dirt.with_clearance_until(float(times[-1]) - cycle_start):
             states, _, worst = self._drive(controller, contingency, start, during, contingency.end - 1e-9)
-        finally:
-            self.dirt.set_cycle(cycle)
         if len(states) > ticks and not self.dirt.safety.is_resting(self.dirt.vehicle, states[-1]):
             worst = -1.0
         least = least_slack(self.dirt, states, times[: len(states)] - cycle_start)

@@ -201,6 +201,8 @@ class Replanner:
             self._solvers.set_parameters(estimate.parameters)
             if self._model is not None:
                 self._model.set_parameters(estimate.parameters)
+                if self._calibration is not None:
+                    self._calibration.fastest = self._model.fastest
         self._calibrate(estimate, current)
         held = self._look_for_blockage(estimate, current)
         cycle_start = self._number * self._settings.cycle + self._cycle_offset

@@ -15,7 +15,7 @@ from typing import Final, Self
 import numpy as np
 
 from kraft.errors import Code, InputError
-from kraft.vehicles import CAR_CONTROLS, check_state, is_car
+from kraft.vehicles import CAR_CONTROLS, FORCE, check_state, is_car
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.kernels.moments import INSTANT, MAX_STEP, ROUNDING
 from ompl_ext.kernels.specialise import StepKernels, kernels, step_kernels
@@ -69,6 +69,11 @@ class VehicleModel:
     def present_vehicle(self) -> Vehicle:
         """The vehicle with the present parameters."""
         return self.vehicle.with_parameters(dict(zip(self.vehicle.parameters, self._parameters.tolist(), strict=False)))
+
+    @property
+    def fastest(self) -> float:
+        """Speed that the vehicle reaches at most on a level floor, m/s; of a car by its present parameters."""
+        return self.vehicle.top_speed
 
     def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
         """State (nx,) after holding a control (nu,) for `duration` s; a copy of the state if that is not above 0."""
@@ -214,10 +219,14 @@ class VehicleModel:
 
 
 def stop_control(vehicle: Vehicle, state: Floats, number: int) -> Floats:
-    """Control (nu,) of manoeuvre `number` in a state; without a `stop` function it is zero."""
+    """Control (nu,) of manoeuvre `number` in a state, within its bounds; zero without a `stop` function."""
+    low, high = vehicle.control_bounds.T
     if vehicle.stop is None:
-        return np.zeros(len(vehicle.controls))
-    return np.array(vehicle.stop(tuple(map(float, state)), tuple(vehicle.parameter_array), number), dtype=float)
+        wanted = np.zeros(len(vehicle.controls))
+    else:
+        wanted = np.array(vehicle.stop(tuple(map(float, state)), tuple(vehicle.parameter_array), number), dtype=float)
+    inside: Floats = np.clip(wanted, low, high)
+    return inside
 
 
 def braking_control(vehicle: Vehicle, state: Floats, held: Floats) -> Floats:
@@ -268,6 +277,16 @@ class CarModel(VehicleModel):
         self.throttle, self.steering = (names.index(name) for name in CAR_CONTROLS)
         self._bounds: list[tuple[float, float]] = list(zip(self.low.tolist(), self.high.tolist(), strict=True))
         self._tabulate()
+
+    @property
+    def fastest(self) -> float:
+        """Speed that the car reaches at most on a level floor, m/s: its stated one, or what full throttle leads to."""
+        values, forces = self._parameters.copy(), [k for k, name in enumerate(self.vehicle.parameters) if name in FORCE]
+        values[forces] = 0.0
+        state, full = np.zeros(len(self.vehicle.state)), self.command(self._bounds[self.throttle][1], 0.0)
+        for _ in range(round(UPDATED_TIME / MAX_STEP)):
+            self._step(state, full, values, MAX_STEP, state)
+        return max(self.vehicle.top_speed, float(state[self.v]))
 
     def set_parameters(self, values: Floats) -> None:
         """Change the parameters (np,), in the vehicle's order, for all who use this model.

@@ -342,7 +342,8 @@ class StructureSearch:
         }
         for name in sorted(lost, key=lambda name: -lost[name][0]):
             cost, before = lost[name]
-            if not _gains(before, name, PATH_COST * cost):
+            is_known = cost > -NO_DIFFERENCE  # a cost that falls without a term is that of a fit in another valley
+            if is_known and not _gains(before, name, PATH_COST * cost):
                 continue
             more = self._with(structure, name, before)
             gain = structure.optimum.cost - more.optimum.cost

@@ -347,7 +347,10 @@ def pose_slack(problem: Problem | Maps, x: float, y: float, c: float, s: float, 
 
 @part
 def clearances(problem: Problem, poses: Matrix, c: Floats, s: Floats, found: Floats) -> None:
-    """Lower bounds (n,) of the footprint's clearance at poses (n, 3) with these cosines and sines; tight everywhere."""
+    """Lower bounds (n,) of the footprint's clearance at poses (n, 3) with these cosines and sines; tight everywhere.
+
+    They are at least those of `pose_slack`.
+    """
     field, discs, scalar = problem.field, problem.discs, problem.scalar
     last_row, last_column = field.shape[0] - 1.0, field.shape[1] - 1.0
     for k in range(len(poses)):
@@ -363,6 +366,10 @@ def clearances(problem: Problem, poses: Matrix, c: Floats, s: Floats, found: Flo
             if scalar[FINE_INVERSE] > 0.0:
                 value = max(value, fine_distance_anywhere(problem, x, y))
             least = min(least, value - discs[i, 2])
+        v = (poses[k, 1] - scalar[GRID_Y]) * scalar[GRID_INVERSE]
+        u = (poses[k, 0] - scalar[GRID_X]) * scalar[GRID_INVERSE]
+        if 0.0 <= v < last_row + 1.0 and 0.0 <= u < last_column + 1.0:  # the disc around the body may tell more
+            least = max(least, float(field[int(v), int(u)]) - scalar[REACH])
         found[k] = least
 
 

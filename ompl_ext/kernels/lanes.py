@@ -162,9 +162,11 @@ def brake(source: Floats, problem: Problem, brake: Lanes) -> int:
     step, moving = int64(0), True
     while moving and step < problem.option[BRAKE_STEPS]:
         step += 1
-        for i in range(manoeuvres):  # a manoeuvre is a control law, held over one step
+        for i in range(manoeuvres):  # a manoeuvre is a control law, held over one step, within the vehicle's bounds
             u = stop(load_state(brake.block, 0, i), p, i)
-            store_input(brake.block, AT_INPUT, i, actuation(u, p))
+            for k in range(NU):
+                brake.control[k * WIDTH + i] = min(max(u[k], problem.controls[k, 0]), problem.controls[k, 1])
+            store_input(brake.block, AT_INPUT, i, actuation(load_control(brake.control, 0, i), p))
         integrate_lanes(brake.block, manoeuvres, p, low, high, problem.scalar[REACH])
         record_lanes(brake, step, manoeuvres)
         moving = False

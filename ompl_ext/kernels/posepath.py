@@ -80,7 +80,7 @@ class PoseCostToGo(NamedTuple):
                 lasting += [time / max(count, 1)] * count
             rest = self._path_of(int(cells[k]))
             joined = np.concatenate([twist, rest.twist]).astype(np.int64), np.concatenate([lasting, rest.times])
-            yield PosePath(np.vstack([*poses, rest.poses]), *joined)
+            yield PosePath(_unwrapped(np.vstack([*poses, rest.poses]), theta), *joined)
 
     def _met(self, poses: Matrix) -> tuple[Floats, Ints]:
         """Time to the goal (n,) from the pose that was reached in the cell of each pose (n, 3), and that cell.
@@ -115,7 +115,8 @@ class PoseCostToGo(NamedTuple):
                 times.append(self.near.motions[numbers[-1], 3])
                 at = int(self.near.after[at, 0])
                 poses.append(self.near.pose[at, :3])
-        return PosePath(np.array(poses, dtype=float), np.array(numbers, np.int64), np.array(times))
+        exact = np.array(poses, dtype=float)
+        return PosePath(_unwrapped(exact, exact[0, 2]), np.array(numbers, np.int64), np.array(times))
 
 
 def _beginnings(motions: Matrix) -> tuple[IntMatrix, Matrix]:
@@ -132,11 +133,17 @@ def _beginnings(motions: Matrix) -> tuple[IntMatrix, Matrix]:
 def _poses_after(poses: Matrix, motions: Matrix, times: Floats) -> Matrix:
     """Poses (n, 3) after motions (n, 4) at constant velocity for `times` (n,) from one pose or n poses."""
     turn = motions[:, 2] * times
-    middle, chord = poses[..., 2] + 0.5 * turn, times * (1.0 - turn * turn / 24.0)
+    middle, chord = poses[..., 2] + 0.5 * turn, times * np.sinc(turn / math.tau)
     c, s = np.cos(middle), np.sin(middle)
     ahead, aside = motions[:, 0], motions[:, 1]
     x, y = poses[..., 0] + chord * (ahead * c - aside * s), poses[..., 1] + chord * (ahead * s + aside * c)
     return np.column_stack([x, y, poses[..., 2] + turn])
+
+
+def _unwrapped(poses: Matrix, theta: float) -> Matrix:
+    """Poses (n, 3) whose headings change by less than half a turn from each to the next, the first one from `theta`."""
+    headings: Floats = np.unwrap(np.append(theta, poses[:, 2]))[1:]
+    return np.column_stack([poses[:, :2], headings])
 
 
 class PosePath(NamedTuple):

@@ -17,6 +17,8 @@ from kraft.driving.method import CalibratedBound
 from kraft.driving.proposer import Proposal
 from kraft.driving.references import standing_reference
 from kraft.driving.replanner import Replanner
+from kraft.driving.vehicle_model import model_of
+from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import OpenLoopErrors
 
 SETTINGS = CalibratedBound()
@@ -82,6 +84,21 @@ def test_the_clearance_is_nowhere_less_than_the_parts_of_the_bound_together_and_
     alone = ((since == 0.0) & np.isin(speeds, [0.0, 0.7])) | ((speeds == 0.0) & np.isin(since, [0.0, 1.5]))
     assert bound.at(speeds, since)[alone] == pytest.approx(together[alone])
     assert bound.at(speeds, since).max() < 0.15 + 0.2 * 0.7 + 0.06 * 1.5
+
+
+@pytest.mark.parametrize("stronger", [0.8, 1.4])
+def test_the_clearance_of_a_car_that_is_stronger_than_stated_holds_up_to_its_speed(stronger: float) -> None:
+    """A force as on a slope changes nothing: it may be against the motion as well."""
+    vehicle = load_vehicle("mushr-force")
+    model, calibration = model_of(vehicle), BoundCalibration(SETTINGS, vehicle)
+    values = {**vehicle.parameters, "v_delta": stronger * vehicle.parameters["v_delta"], "a_x": 0.3}
+    model.set_parameters(np.array(list(values.values())))
+    assert model.fastest == pytest.approx(max(1.0, stronger) * vehicle.top_speed, rel=0.01)
+    calibration.fastest = model.fastest
+    bound = calibration.bound(uncertainty(delay=0.1))
+    speed = np.array([model.fastest])
+    least = math.hypot(bound.delta, model.fastest * math.hypot(bound.per_speed, bound.turning))
+    assert bound.at(speed, np.zeros(1))[0] >= least - 1e-12
 
 
 def test_without_an_error_of_the_pose_the_clearance_is_that_of_speed_and_time() -> None:

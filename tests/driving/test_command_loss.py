@@ -70,6 +70,21 @@ def test_the_way_without_commands_is_that_of_the_timeout_and_of_braking(timeout:
     assert standing - nearest(lambda y: loss.slack(on_the_way(y))) == pytest.approx(way, abs=0.02)
 
 
+@pytest.mark.parametrize("growth", [0.1, 0.3])
+def test_the_clearance_grows_until_the_car_stands(growth: float) -> None:
+    dirt = Solvers.of(turns(), load_vehicle("mushr-drive"), PLANNER).checking
+    loss, held = CommandLoss(dirt, 0.2), np.array([0.9, 0.0])
+    state, time = dirt.edge(on_the_way(4.6).states[0], held, 0.2)[0][-1], 0.2
+    while state[3] > dirt.safety.rest_speed:
+        state, time = dirt.edge(state, braking_control(dirt.vehicle, state, held), 0.05)[0][-1], time + 0.05
+    assert time > dirt.safety.cycle
+    without = nearest(lambda y: loss.slack(on_the_way(y)))
+    dirt.set_bound(dirt.safety.delta, dirt.safety.delta_per_speed, growth, 10.0)
+    cycle = dirt.safety.cycle
+    assert without - nearest(lambda y: loss.slack(on_the_way(y))) == pytest.approx(growth * time, abs=growth * 0.1)
+    assert dirt.safety.cycle == cycle
+
+
 def test_a_later_moment_of_the_cycle_counts_as_well() -> None:
     loss = CommandLoss(DIRT, 0.2)
     control = np.array([0.9, 0.0])

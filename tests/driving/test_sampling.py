@@ -97,9 +97,7 @@ def rolled_out(settings: Mppi, start: Floats, nominal: Floats, noise: Floats, pr
         cost += settings.gamma * float((precision * nominal[t] * (control - nominal[t])).sum())
         state = car.advance(state, control, settings.step)
         x, y, theta = pose_of(state, mushr())
-        row, column = (int(v) for v in (np.array([y, x]) - dirt.problem.scalar[[14, 13]]) * dirt.problem.scalar[15])
-        whole = float(dirt.problem.field[row, column]) - mushr().footprint.reach  # of the disc around the body
-        clear = max(float(dirt.clearances(np.array([[x, y, theta]]))[0]), whole)
+        clear = float(dirt.clearances(np.array([[x, y, theta]]))[0])
         if clear < 0.0:
             return cost + (settings.collision + settings.goal * farthest()) * (1.0 + (len(nominal) - t) / len(nominal))
         cost += settings.near * settings.step * max(1.0 - clear / settings.margin, 0.0) ** 2

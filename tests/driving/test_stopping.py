@@ -20,8 +20,11 @@ from kraft.driving.replanner import Replanner
 from kraft.driving.vehicle_model import CarModel, model_of, stop_control
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
+from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Plan
-from ompl_ext.query import Safety
+from ompl_ext.query import Goal, Safety
+from ompl_ext.solver import DirtSolver
+from ompl_ext.vehicle import Vehicle
 
 
 def along(subject: Replanner, state: Floats, number: int) -> tuple[float, float]:
@@ -212,3 +215,27 @@ def test_a_stop_uses_the_parameters_that_were_identified() -> None:
     assert abs(state[model.v]) < 0.01
     assert stop.rest[0] > 0.25
     assert model.present_vehicle.parameters["a_x"] == -0.3
+
+
+def narrower(vehicle: Vehicle) -> Vehicle:
+    """The vehicle whose commands reach a third as far to either side, so that no manoeuvre is driven as it is stated."""
+    controls = {name: (0.3 * low, 0.3 * high) for name, (low, high) in vehicle.controls.items()}
+    return replace(vehicle, controls=controls)
+
+
+@pytest.mark.parametrize("name", ["mushr-drive", "mushr-force", "differential", "jackal", "f1tenth"])
+@pytest.mark.parametrize("bounds", ["its own", "narrower"])
+def test_manoeuvres_are_checked_with_the_controls_that_the_vehicle_can_be_given(name: str, bounds: str) -> None:
+    """SAFETY's states are those of the vehicle's own model under commands that are clamped as any command is."""
+    vehicle = load_vehicle(name)
+    vehicle = narrower(vehicle) if bounds == "narrower" else vehicle
+    dirt = DirtSolver(vehicle, Workspace(((0.0, 20.0), (0.0, 20.0))), Goal((18.0, 18.0), 0.5), Safety(horizon=8.0))
+    model, state = model_of(vehicle), np.zeros(len(vehicle.state))
+    state[:2], state[model.v] = 10.0, 0.9 * vehicle.top_speed
+    for number, states in enumerate(dirt.manoeuvres(state)):
+        at = state
+        for found in states[1:]:
+            control = stop_control(vehicle, at, number)
+            assert np.array_equal(control, model.clamped(control))
+            at = model.advance(at, control, dirt.safety.step)
+            assert found == pytest.approx(at, abs=0.01)

@@ -13,7 +13,7 @@ from ompl_ext import solver
 from ompl_ext.exact import ExactClearance
 from ompl_ext.following import PathFollower
 from ompl_ext.kernels import kernel_types as at
-from ompl_ext.kernels import posetogo
+from ompl_ext.kernels import posepath, posetogo
 from ompl_ext.kernels.clearance import tight_cover
 from ompl_ext.kernels.specialise import polish_kernels
 from ompl_ext.kernels.trajectory_types import Stages, backward, stages
@@ -120,6 +120,24 @@ def test_limits_are_part_of_what_a_goal_contains(name: str, change: float) -> No
     state[ROVER.index(name)] += change
     assert not GOAL.contains(ROVER, state)
     assert replace(GOAL, limits={}).contains(ROVER, state)
+
+
+@pytest.mark.parametrize("turns", [-1, 0, 2])
+def test_headings_of_a_path_go_on_from_the_start(turns: int) -> None:
+    found, paths = pose_cost_to_go_of(ROVER, ROOM, GOAL, Settings(cell=0.02)), 0
+    headings = RNG.uniform(-math.pi, math.pi, 20) + turns * math.tau
+    for x, y, theta in np.column_stack([RNG.uniform(0.4, 1.1, (20, 2)), headings]):
+        for path in found.paths_from(x, y, theta, 6):
+            assert np.abs(np.diff(np.append(theta, path.poses[:, 2]))).max() < math.pi
+            paths += 1
+    assert paths > 40
+
+
+def test_a_motion_that_turns_far_is_an_arc() -> None:
+    ahead, turning, time = 0.7, 1.2, 2.0
+    radius, angle = ahead / turning, turning * time
+    after = posepath._poses_after(np.array([1.0, 2.0, 0.0]), np.array([[ahead, 0.0, turning, 0.1]]), np.array([time]))
+    assert after[0] == pytest.approx([1.0 + radius * math.sin(angle), 2.0 + radius * (1.0 - math.cos(angle)), angle])
 
 
 @pytest.mark.parametrize("name", ["speed", "x", "theta"])
