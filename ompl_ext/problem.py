@@ -150,33 +150,21 @@ def _spacing(vehicle: Vehicle, goal: Goal | None) -> float:
 def _set_goal(problem: Problem, goal: Goal, vehicle: Vehicle, settings: Settings) -> None:
     """Write the goal region, and how edges near it are treated, into a problem's arrays."""
     scalar, option, limits = problem.scalar, problem.option, problem.goal_limits
-    scalar[[at.GOAL_X, at.GOAL_Y]] = goal.center
+    scalar[[at.GOAL_X, at.GOAL_Y, at.GOAL_RADIUS]] = *goal.center, goal.radius
     scalar[[at.GOAL_COS, at.GOAL_SIN]] = math.cos(goal.heading), math.sin(goal.heading)
-    option[at.GOAL_HEADING], option[at.GOAL_LIMITS] = goal.has_heading, bool(goal.limits)
-    exact = _needs_short_edges(goal)
+    scalar[at.GOAL_TOLERANCE] = math.cos(goal.tolerance) if goal.has_heading else -2.0
+    scalar[at.GOAL_NEAR] = goal.radius + settings.longest * vehicle.top_speed
+    exact = goal.has_heading or bool(goal.limits)  # a disc alone needs no short edges: those that pass it end in it
     scalar[at.SHORTEST_NEAR_GOAL] = (SHORT if exact else 1.0) * settings.shortest
-    set_goal_region(problem, goal, vehicle, settings)
+    passes = settings.shortest * vehicle.top_speed > 4 * goal.radius  # over twice the diameter
+    option[at.GOAL_HEADING], option[at.GOAL_LIMITS] = goal.has_heading, bool(goal.limits)
+    option[at.CUT_AT_GOAL] = exact or passes
     limits[:, 0], limits[:, 1] = -math.inf, math.inf
     for name, (low, high) in goal.limits.items():
         k, rate = vehicle.index(name), motion_of(vehicle).rate[vehicle.index(name)]
         limits[k] = low, high, 1.0 / rate if rate > 0.0 else 0.0
         if vehicle.rest_indices[:1] == (k,):
             scalar[[at.BRAKING, at.GOAL_SPEED]] = rate, max(abs(low), abs(high))
-
-
-def _needs_short_edges(goal: Goal) -> bool:
-    """Whether a goal has to be met exactly.  A disc alone needs no short edges: those that pass it end in it."""
-    return goal.has_heading or bool(goal.limits)
-
-
-def set_goal_region(problem: Problem, goal: Goal, vehicle: Vehicle, settings: Settings) -> None:
-    """Write the size of the goal region, and whether edges that pass through it end there, into a problem's arrays."""
-    scalar = problem.scalar
-    scalar[at.GOAL_RADIUS] = goal.radius
-    scalar[at.GOAL_TOLERANCE] = math.cos(goal.tolerance) if goal.has_heading else -2.0
-    scalar[at.GOAL_NEAR] = goal.radius + settings.longest * vehicle.top_speed
-    passes = settings.shortest * vehicle.top_speed > 4 * goal.radius  # over twice the diameter
-    problem.option[at.CUT_AT_GOAL] = _needs_short_edges(goal) or passes
 
 
 def pose_cost_to_go_of(vehicle: Vehicle, workspace: Workspace, goal: Goal, settings: Settings) -> PoseCostToGo:

@@ -18,7 +18,6 @@ from ompl_ext.kernels.rng import generator
 from ompl_ext.kernels.tree_memory import best_node, path_to
 from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency, Plan, TreeView, tree_view
-from ompl_ext.problem import set_goal_region
 from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.retainment import RetainableEdges, edges_to_retain, remaining_edges, retainable_edges
 from ompl_ext.vehicle import Vehicle
@@ -218,14 +217,16 @@ class QueryTree(EdgeChecker):
     def set_goal_region(self, radius: float, tolerance: float | None = None) -> None:
         """Set the radius of the goal region (m) and, if it has a heading, the tolerance of that (rad).
 
-        The cost-to-go stays that of the initial region.
+        Cost-to-go and treatment of edges that pass through the region stay those of the initial one: a vehicle that
+        aims for a smaller region within its goal is to drive on, and edges that end where they touch it are shorter.
         """
         if self.goal is None:
             raise ValueError("there is no goal to aim for")
         self.goal = replace(self.goal, radius=radius)
         if tolerance is not None and self.goal.has_heading:
             self.goal = replace(self.goal, tolerance=tolerance)
-        set_goal_region(self._problem, self.goal, self.vehicle, self.settings)
+            self._problem.scalar[at.GOAL_TOLERANCE] = math.cos(tolerance)
+        self._problem.scalar[at.GOAL_RADIUS] = radius
 
     def goal_nodes(self) -> Ints:
         """Nodes in the goal region (n,), the one with the lowest cost first."""

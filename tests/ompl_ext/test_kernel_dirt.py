@@ -26,7 +26,6 @@ from support.kernels import (
 
 from ompl_ext import solver
 from ompl_ext.exact import ExactClearance
-from ompl_ext.kernels import kernel_types as at
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.solver import DirtSolver
@@ -234,19 +233,6 @@ def test_a_smaller_goal_can_be_aimed_for_and_the_first_one_again() -> None:
     assert len(planned(dirt, start=inside).durations) == 0
     planned(dirt, start=CORNER)
     assert tree_bytes(dirt) == first
-
-
-def test_a_region_that_edges_may_pass_ends_them_and_a_large_one_does_not() -> None:
-    dirt = DirtSolver(BENCHMARK, Workspace(ROOM), ACROSS, NO_SAFETY, capacity=10)
-    as_made = dirt.problem.option.copy(), dirt.problem.scalar.copy()
-    small = 0.2 * dirt.settings.shortest * BENCHMARK.top_speed
-    dirt.set_goal_region(small)
-    assert as_made[0][at.CUT_AT_GOAL] == 0
-    assert dirt.problem.option[at.CUT_AT_GOAL] == 1
-    assert dirt.problem.scalar[at.GOAL_NEAR] == small + dirt.settings.longest * BENCHMARK.top_speed
-    dirt.set_goal_region(ACROSS.radius)
-    assert np.array_equal(dirt.problem.option, as_made[0])
-    assert np.array_equal(dirt.problem.scalar, as_made[1])
 
 
 def test_without_a_goal_there_is_none_whose_radius_can_be_set() -> None:
