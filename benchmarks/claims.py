@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from statistics import geometric_mean
 from typing import Final, TypeAlias
 
-from kraft.evaluation.report.results import Results
+from kraft.errors import Code, InputError
+from kraft.evaluation.report.results import RecordedCell, Results
 from kraft.evaluation.statistics import PairedDifference, paired_difference, ratio_interval
 
 
@@ -55,7 +56,7 @@ class Trial:
 
 
 Trials: TypeAlias = Mapping[tuple[str, str, int], Trial]
-"""Trials of a method by suite (empty without one), entry and seed."""
+"""Trials of a method by the suite (empty without one) with what was set in it, by entry, and by seed."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Comparison:
     """A claim on the trials that both of its methods have.
 
     Attributes:
-        success, collision: differences of the shares, method minus reference.
+        success, collision: differences of the shares, method minus reference, judged over entries as times are.
         entries: number of entries with pairs that both finished successfully.
         ratio: geometric mean over these entries of the method's mean time over the reference's; None without entries.
         ratio_interval: its 95 % interval, bootstrapped over entries, since the seeds of one entry are alike.
@@ -78,11 +79,11 @@ class Comparison:
 
     @property
     def verdict(self) -> str:
-        """What the intervals exclude, in successes, collisions and times; they are not adjusted for their number."""
+        """What is shown of successes, collisions and times; intervals and tests are not adjusted for their number."""
         found = []
-        for name, (low, high) in (("successes", self.success.interval), ("collisions", self.collision.interval)):
-            if low > 0.0 or high < 0.0:
-                found.append(f"{'more' if low > 0.0 else 'fewer'} {name}")
+        for name, difference in (("successes", self.success), ("collisions", self.collision)):
+            if difference.shown:
+                found.append(f"{'more' if difference.shown > 0 else 'fewer'} {name}")
         if self.ratio_interval is not None and (self.ratio_interval[0] > 1.0 or self.ratio_interval[1] < 1.0):
             found.append("slower" if self.ratio_interval[0] > 1.0 else "faster")
         return ", ".join(found) or "no difference shown"
@@ -94,10 +95,11 @@ def compare(claim: Claim, mine: Trials, theirs: Trials) -> Comparison | None:
     if not common:
         return None
     one, other = _entry_times(mine, theirs, common)
+    entries = [key[:2] for key in common]
     return Comparison(
         claim,
-        paired_difference([mine[key].success for key in common], [theirs[key].success for key in common]),
-        paired_difference([mine[key].collision for key in common], [theirs[key].collision for key in common]),
+        paired_difference([mine[key].success for key in common], [theirs[key].success for key in common], entries),
+        paired_difference([mine[key].collision for key in common], [theirs[key].collision for key in common], entries),
         len(one),
         geometric_mean(a / b for a, b in zip(one, other, strict=True)) if one else None,
         ratio_interval(one, other),
@@ -116,16 +118,31 @@ def _entry_times(mine: Trials, theirs: Trials, keys: Sequence[tuple[str, str, in
 
 
 def trials_of(found: Sequence[Results], method: str) -> Trials:
-    """Trials of a method in results folders; a trial that failed by a defect is no success."""
-    return {
-        (str(each.manifest.arguments.get("suite") or ""), entry, row.seed): Trial(
-            row.outcome == "success", row.outcome == "collision", row.success_time
-        )
-        for each in found
-        if method in each.methods
-        for entry in each.entries
-        for row in each.of_cell(entry, method)
-    }
+    """Trials of a method in results folders; a trial that failed by a defect is no success.
+
+    Trials of the same scene are other ones if keys of it, the vehicle or the clock differ.
+
+    Raises:
+        InputError: if two folders have the same trial.
+    """
+    trials: dict[tuple[str, str, int], Trial] = {}
+    for each in found:
+        for entry, cell in each.entries.items() if method in each.methods else ():
+            for row in each.of_cell(entry, method):
+                key = _conditions(each, cell), entry, row.seed
+                if key in trials:
+                    problem = f"seed {row.seed} of {method} in {entry} is in two of them"
+                    raise InputError.of("results folders", problem, "expected each trial once", Code.DUPLICATE)
+                trials[key] = Trial(row.outcome == "success", row.outcome == "collision", row.success_time)
+    return trials
+
+
+def _conditions(found: Results, cell: RecordedCell) -> str:
+    """The suite of an evaluation, and what was set in an entry of it; equal for trials that may be paired."""
+    arguments, manifest = found.manifest.arguments, found.manifest
+    parts = [str(arguments.get("suite") or ""), *(f"{key}={cell.set[key]}" for key in sorted(cell.set))]
+    parts += [f"vehicle {arguments['vehicle']}"] if arguments.get("vehicle") else []
+    return " ".join([*parts, *(["realtime"] if manifest.realtime else [])])
 
 
 def comparisons(found: Sequence[Results]) -> list[Comparison]:

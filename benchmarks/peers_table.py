@@ -15,6 +15,7 @@ from benchmarks.parallel import each, interval
 from benchmarks.report import Report, Row, Target, number, row
 from kraft.driving.control import kernel_modules, needs_steps
 from kraft.driving.method import Method, load_method
+from kraft.evaluation.statistics import SIGNIFICANT
 from kraft.evaluation.suite import Entry, load_suite
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.workspace import goal_of, settings_of, start_state, workspace_of
@@ -162,7 +163,10 @@ def trials(drives: Sequence[Drive], name: str) -> claims.Trials:
 
 
 def rows_of(compared: Sequence[claims.Comparison]) -> list[Row]:
-    """Each claim's gain in points, whose 95 % interval should exclude 0: of successes, or of avoided collisions."""
+    """Each claim's gain in points, of successes, or of avoided collisions for safety, and its p-value.
+
+    The target is that of a gain that is shown; the p-value of a loss is no help and counts as 1.
+    """
     found = []
     for comparison in compared:
         claim = comparison.claim
@@ -175,8 +179,8 @@ def rows_of(compared: Sequence[claims.Comparison]) -> list[Row]:
             low, middle, high = -high, -middle, -low
         what = "fewer collisions" if safety else "more successes"
         quantity = f"{claim.part}, {claim.method} against {claim.reference}: {middle:+.1f} points {what}"
-        quantity += f", at most {high:+.1f}, at least (95 %)"
-        found.append(row(quantity, "points", [low], Target(0.0, most=False)))
+        quantity += f" (95 %: {low:+.1f} to {high:+.1f}), p"
+        found.append(row(quantity, "", [difference.p if middle > 0.0 else 1.0], Target(SIGNIFICANT)))
     return found
 
 

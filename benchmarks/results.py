@@ -20,7 +20,7 @@ from benchmarks.claims import Claim
 from kraft.errors import Code, InputError, KraftError
 from kraft.evaluation.experiment import METHODS
 from kraft.evaluation.report.results import Results, read_results
-from kraft.evaluation.statistics import mcnemar, wilson
+from kraft.evaluation.statistics import wilson
 from kraft.evaluation.summary import MANY, Result
 from kraft.evaluation.table import markdown
 from kraft.files import write_whole
@@ -41,11 +41,14 @@ brackets is the mean time of the successful trials. Intervals are Wilson's, 95 %
 CLAIMS_HEADING = """## What the paper claims
 
 Long horizons, feedback and safety each help: the methods of a row differ in this part, and are compared on the trials
-that both have, paired by scenario and seed. Differences are in points (method minus *instead of*) with Newcombe's 95 %
-interval for paired shares and the p-value of the exact McNemar test. Times are of pairs in which both succeeded: the
-geometric mean over the entries of the ratio of mean times, with a bootstrapped 95 % interval (BCa, over entries). The
-verdict states what an interval excludes; the intervals are not adjusted for their number.
+that both have, paired by scenario and seed. The seeds of one entry are alike, so entries are what intervals and tests
+count. Differences are in points (method minus *instead of*) with a bootstrapped 95 % interval (BCa, over entries) and
+the p-value of the exact sign-flip test over entries. Times are of pairs in which both succeeded: the geometric mean
+over the entries of the ratio of mean times, with a bootstrapped 95 % interval (BCa, over entries). The verdict states
+what an interval excludes, of successes and collisions if p is below 0.05 too; the intervals are not adjusted for their
+number.
 """
+BENCHMARKS = "Values are medians, those with a target of the worst the worst sample."
 CLAIMS = (
     Claim("feedback", "oneshot-kinodynamic", "oneshot-openloop"),
     Claim("feedback that knows the dynamics", "oneshot-kinodynamic", "oneshot-geometric"),
@@ -245,41 +248,37 @@ def claims_section(found: Sequence[Results]) -> list[str]:
 
 
 def claims(found: Results) -> list[str]:
-    """Table of the paper's claims, over all entries, on the same seeds."""
+    """Table of the paper's claims, over all entries, on the trials that both methods have."""
     rows = [["what helps", "method", "instead of", "successes", "gained / lost", "p"]]
     for claim in CLAIMS:
         if not found.methods.keys() >= set(claim.methods):
             continue
-        mine, theirs = (_successes(found, name) for name in claim.methods)
-        test = mcnemar(mine, theirs)
-        counts = f"{sum(mine.values())} : {sum(theirs.values())} of {len(mine)}"
+        compared = paired.compare(claim, *(paired.trials_of([found], name) for name in claim.methods))
+        if compared is None:
+            continue
+        test = compared.success
+        counts = "{} : {} of {}".format(*test.counts, test.pairs)
         titles = [found.methods[name] for name in claim.methods]
         rows.append([claim.part, *titles, counts, f"{test.gained} / {test.lost}", f"{test.p:.2g}"])
     if len(rows) == 1:
         return []
-    return ["What the paper claims, as paired trials over all entries (exact McNemar):", "", *_markdown(rows), ""]
-
-
-def _successes(found: Results, method: str) -> dict[int, bool]:
-    """Whether each trial of a method succeeded, by its number over all entries."""
-    outcomes: dict[int, bool] = {}
-    for k, entry in enumerate(found.summary.entries):
-        for row in found.of_cell(entry, method):
-            outcomes[k * found.manifest.trials + row.seed - found.manifest.seed] = row.outcome == "success"
-    return outcomes
+    text = "What the paper claims, on the trials that both methods have (exact sign-flip test over entries):"
+    return [text, "", *_markdown(rows), ""]
 
 
 def benchmark_section(content: dict[str, object]) -> str:
-    """Tables of `python -m benchmarks`: the quantities with targets, topic by topic."""
+    """Tables of `python -m benchmarks`: all quantities, topic by topic."""
     topics = content["topics"]
     assert isinstance(topics, dict), "python -m benchmarks writes topics"
-    lines = ["## Benchmarks", "", "    python -m benchmarks", ""]
+    lines = ["## Benchmarks", "", "    python -m benchmarks", "", BENCHMARKS, ""]
     for topic, found in topics.items():
-        rows = [["quantity", "median", "unit", "samples", "target", ""]]
+        rows = [["quantity", "value", "unit", "samples", "target", ""]]
         for row in found["rows"]:
             met = {True: "met", False: "missed", None: ""}[row["met"]]
-            median = "none" if row["median"] is None else f"{row['median']:.4g}"
-            rows.append([row["quantity"], median, row["unit"], str(len(row["samples"])), row["target"] or "", met])
+            target = row["target"] or ""
+            judged = row["worst" if target.startswith("worst ") else "median"]
+            value = "none" if judged is None else f"{judged:.4g}"
+            rows.append([row["quantity"], value, row["unit"], str(len(row["samples"])), target, met])
         lines += [f"**{topic}**", "", *_markdown(rows), ""]
         for table in found["tables"].values():
             lines += [*_markdown(table), ""]

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
+
+from ompl_ext.arrays import Floats
+
+SIGNIFICANT: Final = 0.05
+"""p-value below which a difference is shown."""
 
 
 def wilson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
@@ -77,51 +83,138 @@ class PairedDifference:
 
     Attributes:
         pairs: number of trials that both methods have.
-        gained: number of trials in which only the first one has what is counted.
+        counts: numbers of trials in which each of them has what is counted.
+        gained: number of trials in which only the first one has it.
         lost: number of trials in which only the second one has it.
         difference: share of the first one minus that of the second one.
-        interval: 95 % interval of the difference, Newcombe's from Wilson's intervals for paired shares.
-        p: two-sided p-value of the exact McNemar test.
+        interval: 95 % interval of the difference, bootstrapped over groups.
+        p: two-sided p-value of the exact sign-flip test over groups.
     """
 
     pairs: int
+    counts: tuple[int, int]
     gained: int
     lost: int
     difference: float
     interval: tuple[float, float]
     p: float
 
+    @property
+    def shown(self) -> int:
+        """1 or -1 if the first method has shown more or less, 0 if there may be no difference.
 
-def paired_difference(one: Sequence[bool], other: Sequence[bool], confidence: float = 0.95) -> PairedDifference:
-    """Compare two methods on the same trials, given in the same order.
+        The interval and the test have to exclude that: where few groups differ, the interval of the bootstrap alone is
+        too narrow.
+        """
+        low, high = self.interval
+        if self.p >= SIGNIFICANT or low <= 0.0 <= high:
+            return 0
+        return 1 if low > 0.0 else -1
 
-    The interval is that of method 10 of Newcombe 1998, "Improved confidence intervals for the difference between
-    binomial proportions based on paired data".  It does not shrink to a point where the methods never differ.
+
+def paired_difference(
+    one: Sequence[bool], other: Sequence[bool], groups: Sequence[Hashable], confidence: float = 0.95
+) -> PairedDifference:
+    """Compare two methods on the same trials, given in the same order, each with the group that it belongs to.
+
+    Trials of a group are alike, as are the seeds of one scenario, so interval and test treat groups as independent, not
+    trials.  The interval is bootstrapped over groups (BCa, 9,999 resamples).  With fewer than three groups, or with the
+    same difference in all of them, which bootstrapping cannot judge, it is `newcombe` with one pair for each group.
 
     Raises:
-        ValueError: if there is no trial, or not one of each for the other.
+        ValueError: if there is no trial, or not one of each for the other, or not a group for each.
     """
-    if not one or len(one) != len(other):
-        raise ValueError("expected pairs of trials")
+    if not one or not len(one) == len(other) == len(groups):
+        raise ValueError("expected pairs of trials and their groups")
     n = len(one)
     both = sum(a and b for a, b in zip(one, other, strict=True))
     gained, lost = sum(one) - both, sum(other) - both
-    neither = n - both - gained - lost
-    (low, high), (low_other, high_other) = wilson(sum(one), n, confidence), wilson(sum(other), n, confidence)
-    share, share_other = sum(one) / n, sum(other) / n
+    number = {group: k for k, group in enumerate(dict.fromkeys(groups))}
+    changes, sizes = np.zeros(len(number)), np.zeros(len(number))
+    for a, b, group in zip(one, other, groups, strict=True):
+        changes[number[group]] += int(a) - int(b)
+        sizes[number[group]] += 1
+    interval = _share_bootstrap(changes, sizes, confidence)
+    if interval is None:
+        each = len(number) / n
+        interval = newcombe(each * both, each * gained, each * lost, each * (n - both - gained - lost), confidence)
+    p = sign_flip_p([round(change) for change in changes])
+    return PairedDifference(n, (sum(one), sum(other)), gained, lost, (gained - lost) / n, interval, p)
+
+
+def sign_flip_p(changes: Sequence[int]) -> float:
+    """Two-sided p-value of the sum of `changes`, each of which is as likely to have the other sign.
+
+    It is exact, by the distribution of the sum.  With changes of 1 and -1 it is the exact McNemar test.
+    """
+    found = [abs(change) for change in changes if change]
+    chances = np.zeros(2 * sum(found) + 1)  # of the sums from -sum(found) on
+    chances[sum(found)] = 1.0
+    for size in found:
+        chances = 0.5 * (np.roll(chances, size) + np.roll(chances, -size))  # no sum gets past the ends
+    sums = np.abs(np.arange(len(chances)) - sum(found))
+    return min(1.0, float(chances[sums >= abs(sum(changes))].sum()))
+
+
+def grouped_share_interval(
+    counts: Sequence[int], sizes: Sequence[int], confidence: float = 0.95
+) -> tuple[float, float]:
+    """Interval of a share of trials that come in groups of some `sizes`, of which `counts` have what is counted.
+
+    It is bootstrapped over groups (BCa, 9,999 resamples).  With fewer than three groups, or with the same share in all
+    of them, it is Wilson's with one trial for each group; (0, 1) without groups.
+    """
+    if not counts:
+        return 0.0, 1.0
+    values, trials = np.asarray(counts, dtype=float), np.asarray(sizes, dtype=float)
+    interval = _share_bootstrap(values, trials, confidence)
+    return interval or _score_interval(float(values.sum() / trials.sum()), len(counts), confidence)
+
+
+def _share_bootstrap(values: Floats, sizes: Floats, confidence: float) -> tuple[float, float] | None:
+    """Interval of the sum of `values` over that of `sizes`; None where bootstrapping cannot judge it."""
+    from scipy.stats import bootstrap
+
+    if len(values) < 3 or np.ptp(values / sizes) == 0.0:
+        return None
+    found = bootstrap(
+        (values, sizes), lambda a, b, axis=-1: a.sum(axis=axis) / b.sum(axis=axis), paired=True, vectorized=True,
+        confidence_level=confidence, method="BCa", rng=np.random.default_rng(0),
+    ).confidence_interval  # fmt: skip
+    return float(found.low), float(found.high)
+
+
+def newcombe(both: float, gained: float, lost: float, neither: float, confidence: float = 0.95) -> tuple[float, float]:
+    """Interval of the difference of two shares of independent pairs, of which these many have each outcome.
+
+    It is that of method 10 of Newcombe 1998, "Improved confidence intervals for the difference between binomial
+    proportions based on paired data".  It does not shrink to a point where the methods never differ.
+    """
+    n = both + gained + lost + neither
+    share, share_other = (both + gained) / n, (both + lost) / n
+    low, high = _score_interval(share, n, confidence)
+    low_other, high_other = _score_interval(share_other, n, confidence)
     phi = _correlation(both, gained, lost, neither)
-    difference = share - share_other
     below = _joint(share - low, high_other - share_other, phi)
     above = _joint(high - share, share_other - low_other, phi)
-    p = mcnemar(dict(enumerate(one)), dict(enumerate(other))).p
-    return PairedDifference(n, gained, lost, difference, (difference - below, difference + above), p)
+    return share - share_other - below, share - share_other + above
+
+
+def _score_interval(share: float, trials: float, confidence: float) -> tuple[float, float]:
+    """Wilson's interval of a share; the number of trials need not be whole."""
+    from scipy.special import ndtri
+
+    z = float(ndtri((1.0 + confidence) / 2.0))
+    centre = (share + z * z / (2.0 * trials)) / (1.0 + z * z / trials)
+    half = z * np.sqrt(share * (1.0 - share) / trials + (z / (2.0 * trials)) ** 2) / (1.0 + z * z / trials)
+    return max(0.0, float(centre - half)), min(1.0, float(centre + half))
 
 
 def _joint(a: float, b: float, phi: float) -> float:
     return float(np.sqrt(max(a * a - 2.0 * phi * a * b + b * b, 0.0)))
 
 
-def _correlation(both: int, gained: int, lost: int, neither: int) -> float:
+def _correlation(both: float, gained: float, lost: float, neither: float) -> float:
     """Correlation of two shares, corrected for continuity as in method 10; 0 where one of them is 0 or 1."""
     margins = (both + gained) * (lost + neither) * (both + lost) * (gained + neither)
     if margins == 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from math import comb, prod
 
 import pytest
@@ -9,11 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kraft.evaluation.statistics import (
+    grouped_share_interval,
     mcnemar,
     mean_interval,
+    newcombe,
     paired_difference,
     percentile,
     ratio_interval,
+    sign_flip_p,
     wilson,
 )
 
@@ -102,12 +106,6 @@ def test_nothing_has_no_percentile() -> None:
     assert percentile([3.0, 1.0, 2.0, 4.0], 0.5) == 2.0
 
 
-def pairs(both: int, gained: int, lost: int, neither: int) -> tuple[list[bool], list[bool]]:
-    one = [True] * (both + gained) + [False] * (lost + neither)
-    other = [True] * both + [False] * gained + [True] * lost + [False] * neither
-    return one, other
-
-
 @pytest.mark.parametrize("shares", [(0.7, 0.2, 0.05, 0.05), (0.3, 0.3, 0.1, 0.3), (0.9, 0.04, 0.02, 0.04)])
 def test_the_interval_of_paired_shares_holds_the_true_difference_as_often_as_it_says(
     shares: tuple[float, float, float, float],
@@ -118,7 +116,7 @@ def test_the_interval_of_paired_shares_holds_the_true_difference_as_often_as_it_
         for gained in range(n + 1 - both):
             for lost in range(n + 1 - both - gained):
                 counts = (both, gained, lost, n - both - gained - lost)
-                low, high = paired_difference(*pairs(*counts)).interval
+                low, high = newcombe(*counts)
                 ways = comb(n, both) * comb(n - both, gained) * comb(n - both - gained, lost)
                 if low <= shares[1] - shares[2] <= high:
                     covered += ways * prod(share**count for share, count in zip(shares, counts, strict=True))
@@ -126,22 +124,76 @@ def test_the_interval_of_paired_shares_holds_the_true_difference_as_often_as_it_
 
 
 @given(st.tuples(*[st.integers(0, 40)] * 4).filter(any))
-def test_a_paired_difference_mirrors_and_holds_its_own_value(counts: tuple[int, int, int, int]) -> None:
-    one, other = pairs(*counts)
-    found, mirrored = paired_difference(one, other), paired_difference(other, one)
-    assert (found.gained, found.lost, found.pairs) == (counts[1], counts[2], sum(counts))
-    assert (mirrored.gained, mirrored.lost, mirrored.p) == (found.lost, found.gained, found.p)
-    assert mirrored.interval == pytest.approx((-found.interval[1], -found.interval[0]))
-    assert -1.0 - 1e-9 <= found.interval[0] <= found.difference <= found.interval[1] <= 1.0 + 1e-9
-    assert found.interval[0] < found.interval[1]
+def test_the_interval_of_paired_shares_mirrors_and_holds_its_own_value(counts: tuple[int, int, int, int]) -> None:
+    both, gained, lost, neither = counts
+    low, high = newcombe(*counts)
+    assert newcombe(both, lost, gained, neither) == pytest.approx((-high, -low))
+    assert -1.0 - 1e-9 <= low <= (gained - lost) / sum(counts) + 1e-9
+    assert (gained - lost) / sum(counts) - 1e-9 <= high <= 1.0 + 1e-9
+    assert low < high
 
 
 def test_pairs_that_agree_narrow_the_interval_of_their_difference() -> None:
-    together, apart = paired_difference(*pairs(20, 5, 0, 15)), paired_difference(*pairs(10, 15, 10, 5))
-    assert together.difference == apart.difference == 0.125
-    assert together.interval[1] - together.interval[0] < 0.7 * (apart.interval[1] - apart.interval[0])
-    with pytest.raises(ValueError, match="pairs"):
-        paired_difference([], [])
+    together, apart = newcombe(20, 5, 0, 15), newcombe(10, 15, 10, 5)
+    assert together[1] - together[0] < 0.7 * (apart[1] - apart[0])
+
+
+@settings(deadline=None)  # scipy is loaded in it
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
+def test_groups_of_one_pair_have_the_p_of_the_mcnemar_test(found: list[tuple[bool, bool]]) -> None:
+    gained, lost = sum(a and not b for a, b in found), sum(b and not a for a, b in found)
+    assert sign_flip_p([int(a) - int(b) for a, b in found]) == pytest.approx(by_hand(gained, lost))
+
+
+def test_the_p_of_groups_is_the_share_of_the_signs_with_a_sum_as_large() -> None:
+    changes = [3, -1, 4, 2, 0, 5]
+    sums = [
+        sum(sign * change for sign, change in zip(signs, changes, strict=True)) for signs in product((1, -1), repeat=6)
+    ]
+    expected = sum(abs(each) >= sum(changes) for each in sums) / len(sums)
+    assert sign_flip_p(changes) == sign_flip_p([-change for change in changes]) == pytest.approx(expected)
+    assert sign_flip_p([]) == sign_flip_p([0, 0]) == 1.0
+    assert sign_flip_p([30] * 6) == pytest.approx(2 / 2**6)
+
+
+def test_trials_of_a_group_count_as_alike() -> None:
+    """Ten successes more, all in one group of ten, against ten spread over all groups."""
+    groups = [k // 10 for k in range(100)]
+    together = paired_difference([k < 10 for k in range(100)], [False] * 100, groups)
+    spread = paired_difference([k % 10 == k // 10 % 3 for k in range(100)], [k == 37 for k in range(100)], groups)
+    assert (together.pairs, together.counts, together.gained, together.lost) == (100, (10, 0), 10, 0)
+    assert (together.difference, together.p, together.shown) == (0.1, 1.0, 0)
+    assert together.interval[0] <= 0.0
+    assert together.interval[1] - together.interval[0] > 2 * (spread.interval[1] - spread.interval[0])
+    assert spread.shown == 1
+    assert paired_difference([k < 10 for k in range(100)], [False] * 100, groups) == together
+    three = paired_difference([k % 10 < 5 and k < 30 for k in range(300)], [False] * 300, [k // 10 for k in range(300)])
+    assert (three.p, three.shown) == (0.25, 0), "with three of 30 groups signs of chance are as good"
+
+
+def test_a_difference_is_as_wide_as_that_of_its_groups_where_these_are_equal() -> None:
+    groups = [k // 10 for k in range(40)]
+    equal = paired_difference([True] * 40, [True] * 40, groups)
+    assert equal.interval == pytest.approx(newcombe(4, 0, 0, 0))
+    assert (equal.p, equal.shown) == (1.0, 0)
+    always = paired_difference([True] * 40, [k % 10 < 5 for k in range(40)], groups)
+    assert always.interval == pytest.approx(newcombe(2, 2, 0, 0))
+    for wrong in (([], [], []), ([True], [True, False], [0]), ([True], [True], [0, 1])):
+        with pytest.raises(ValueError, match="pairs"):
+            paired_difference(*wrong)
+
+
+def test_the_interval_of_a_share_is_that_of_its_groups() -> None:
+    alike, different = (
+        grouped_share_interval([6, 0, 0, 6, 0, 0], [6] * 6),
+        grouped_share_interval([2] * 5 + [1], [6] * 6),
+    )
+    assert alike[0] < 1 / 3 < alike[1]
+    assert alike[1] - alike[0] > 2 * (different[1] - different[0])
+    assert alike == grouped_share_interval([6, 0, 0, 6, 0, 0], [6] * 6)
+    assert grouped_share_interval([0] * 27, [6] * 27) == pytest.approx(wilson(0, 27))
+    assert grouped_share_interval([3], [6])[1] > 0.8
+    assert grouped_share_interval([], []) == (0.0, 1.0)
 
 
 def test_the_bootstrapped_interval_of_ratios_repeats_and_holds_the_geometric_mean() -> None:

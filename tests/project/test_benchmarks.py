@@ -404,7 +404,11 @@ def test_the_rows_of_the_peers_load_and_their_claims_are_paired_by_entry_and_see
     assert (compared.success.pairs, compared.success.gained, compared.success.lost) == (2, 1, 0)
     (found,) = peers_table.rows_of([compared])
     assert found.quantity.startswith("long horizons, kraft-mppi against mppi: +50.0 points more successes")
-    assert found.median == pytest.approx(100.0 * compared.success.interval[0])
+    assert (found.median, found.met) == (compared.success.p, False)
+    (found,) = peers_table.rows_of([replace(compared, success=replace(compared.success, p=0.01))])
+    assert (found.median, found.met) == (0.01, True)
+    (found,) = peers_table.rows_of([replace(compared, success=replace(compared.success, p=0.01, difference=-0.5))])
+    assert (found.median, found.met) == (1.0, False)
 
 
 def test_the_time_of_a_command_and_of_all_rows_is_that_of_the_trials(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,17 +28,30 @@ def succeeded(time: float) -> Trial:
 
 def test_a_method_that_succeeds_where_the_other_collides_is_found_to_help() -> None:
     mine = trials(*[succeeded(9.0 + k % 7) for k in range(60)])
-    theirs = trials(*[COLLIDED if k % 3 == 0 else succeeded(1.1 * (9.0 + k % 7)) for k in range(60)])
+    theirs = trials(*[COLLIDED if k // 6 % 3 == 0 or k == 1 else succeeded(1.1 * (9.0 + k % 7)) for k in range(60)])
+    theirs = {**theirs, ("paper", "entry 1", 0): succeeded(1.1 * 10.0)}
     found = compare(CLAIM, mine, theirs)
     assert found is not None
-    assert (found.success.gained, found.success.lost, found.success.difference) == (20, 0, pytest.approx(1 / 3))
-    assert found.collision.difference == pytest.approx(-1 / 3)
+    assert (found.success.gained, found.success.lost) == (23, 0)
+    assert found.success.p == pytest.approx(2 / 2**6)
+    assert found.collision.difference == pytest.approx(-23 / 60)
     assert found.success.interval[0] > 0.0 > found.collision.interval[1]
     assert found.ratio == pytest.approx(1 / 1.1)
     assert found.verdict.startswith("more successes, fewer collisions")
     mirrored = compare(CLAIM, theirs, mine)
     assert mirrored is not None
     assert mirrored.verdict.startswith("fewer successes, more collisions")
+
+
+def test_successes_in_one_entry_alone_show_nothing_of_others() -> None:
+    """The seeds of an entry are alike: ten successes more in one of six entries may be chance."""
+    mine = trials(*[succeeded(9.0)] * 60)
+    theirs = trials(*[COLLIDED if k % 6 == 0 else succeeded(9.0) for k in range(60)])
+    found = compare(CLAIM, mine, theirs)
+    assert found is not None
+    assert (found.success.gained, found.success.p) == (10, 1.0)
+    assert found.success.interval[0] <= 0.0
+    assert found.verdict == "no difference shown"
 
 
 def test_times_are_compared_where_both_succeeded_and_judged_by_entry() -> None:
@@ -90,7 +103,7 @@ def test_both_suites_are_compared_together_with_methods_from_several_folders(
     assert sorted({key[:2] for key in trials_of(found, "kraft")}) == [("hard", "boxes"), ("paper", "turns")]
     (compared,) = comparisons(found)
     assert (compared.claim.part, compared.success.pairs, compared.success.gained) == (SAFETY, 8, 8)
-    assert compared.verdict == "more successes, fewer collisions"
+    assert compared.verdict == "no difference shown", "two entries alone"
     shown = table([compared], {"kraft": "KRAFT"})[1]
     assert shown[:4] == ["safety", "conservative-kraft", "KRAFT", "8"]
     assert (shown[5], shown[8], shown[-1]) == ("8 / 0", "8 / 0", compared.verdict)
@@ -98,6 +111,26 @@ def test_both_suites_are_compared_together_with_methods_from_several_folders(
     assert results.main([*map(str, folders), "--out", str(out)]) == 0
     assert "## What the paper claims" in out.read_text()
     assert "| safety | Conservative KRAFT | KRAFT | 8 |" in out.read_text()
+
+
+def test_a_trial_that_is_in_two_folders_is_refused_unless_something_was_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
+
+    def driven(name: str, *methods: str, **settings: float) -> Path:
+        evaluate(["turns"], list(methods), 4, 3, 1, tmp_path / name, settings=settings, arguments={})
+        return tmp_path / name
+
+    first, other = driven("first", "kraft"), driven("other", "conservative-kraft")
+    louder = driven("louder", "kraft", "conservative-kraft", **{"sensing.noise_scale": 2.0})
+    found = [read_results(folder) for folder in (first, other, louder)]
+    assert len(trials_of(found, "kraft")) == 8
+    (compared,) = comparisons(found)
+    assert (compared.success.pairs, len({key[:2] for key in trials_of(found, "kraft")})) == (8, 2)
+    again = driven("again", "kraft")
+    assert results.main([str(first), str(other), str(again), "--out", str(tmp_path / "results.md")]) == 2
+    assert "of kraft in turns is in two of them" in capsys.readouterr().err
 
 
 def test_every_method_of_the_claims_exists() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from support import fake_trials
 from support.paths import ROOT
 
 from benchmarks import results
+from benchmarks.report import Report, Target, row
 from kraft.evaluation import evaluate
 from kraft.evaluation.report.results import read_results
 from kraft.evaluation.statistics import wilson
@@ -54,6 +56,24 @@ def test_claims_are_tested_on_the_same_trials(folder: Path) -> None:
     gained = sum(mine == "success" != theirs for mine, theirs in pairs)
     lost = sum(theirs == "success" != mine for mine, theirs in pairs)
     assert f"{gained} / {lost}" in lines[5]
+
+
+def test_of_each_method_only_trials_count_that_the_other_has_too(folder: Path) -> None:
+    found = read_results(folder)
+    rows = {key: row for key, row in found.rows.items() if key[1] != "kraft" or key[2] != 3 or key[0] != "turns"}
+    lines = results.claims(replace(found, rows=rows))
+    assert lines[5].startswith("| safety, with feedback | Conservative KRAFT | KRAFT | ")
+    both = [key[::2] for key in rows if key[1] == "kraft"]
+    counts = [sum(rows[entry, name, seed].outcome == "success" for entry, seed in both)
+              for name in ("conservative-kraft", "kraft")]  # fmt: skip
+    assert f" {counts[0]} : {counts[1]} of 11 " in lines[5]
+
+
+def test_the_value_beside_a_target_is_the_one_that_it_judges() -> None:
+    rows = [row("hits", "", [1.0, 1.0, 3.0], Target(2.0, of="worst")), row("time", "s", [1.0, 1.0, 3.0], Target(2.0))]
+    lines = results.benchmark_section({"topics": {"faults": Report("faults", rows).as_json()}}).splitlines()
+    assert "| hits | 3 |  | 3 | worst <= 2 | missed |" in lines
+    assert "| time | 1 | s | 3 | median <= 2 | met |" in lines
 
 
 def test_the_table_of_the_readme_is_replaced_and_the_rest_stays(folder: Path, tmp_path: Path) -> None:
