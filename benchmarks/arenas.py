@@ -51,7 +51,10 @@ def run(effort: Effort) -> Report:
     table = [["", "drives", "success", "collision", "timeout", "mean time, s", "regressions"]]
     table += [line(kind, [d for d in drives if d.kind == kind]) for kind in KINDS]
     bad = [f"{d.scenario} ({d.outcome})" for d in drives if d.outcome != Outcome.SUCCESS]
-    notes = [f"{effort.method}, seed of the trial: the number of the scenario; times of the successful drives."]
+    notes = [
+        f"{effort.method}, seed of the trial: the number of the scenario; times of the successful drives.",
+        "Changes were kept or refused by the arenas 0 to 259: the method was chosen with these worlds.",
+    ]
     notes += [f"not arrived: {', '.join(bad)}"] if bad else []
     return Report("arenas", rows_of(drives), {"by kind": table}, notes)
 

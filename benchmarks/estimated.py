@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from benchmarks.effort import Effort
-from benchmarks.parallel import each, interval, planning_vehicle
+from benchmarks.parallel import each, grouped_interval, interval, planning_vehicle
 from benchmarks.random_arenas import random_arena
 from benchmarks.report import Report, Row, Target, row
 from kraft.driving.method import Method, load_method
@@ -46,7 +46,8 @@ class Episode:
 
     `ticks` are those of the controller with a bound, `held` those at which no point of the car was farther from the
     prediction than delta; `broken` is the number of the `cycles` with a tick at which one was.  `delta` (m) and
-    `deviation` (m) are the means over the ticks.  `during` is the number of the last cycle, in which a collision is.
+    `deviation` (m) are the means over the ticks.  `judged_to_end` is whether the last of the ticks is less than a tick
+    before the end; if not, nothing is known of a collision there.  `collided_within_delta` is whether delta held at it.
     """
 
     number: int
@@ -58,6 +59,7 @@ class Episode:
     broken: int
     delta: float
     deviation: float
+    judged_to_end: bool
     collided_within_delta: bool
     seconds: float
 
@@ -66,7 +68,7 @@ def run(effort: Effort) -> Report:
     """Drive all episodes."""
     planning_vehicle(effort.method)
     method = load_method(effort.method)
-    level = method.planner.bound.level if method.planner.bound else math.nan
+    level = method.planner.bound.level if method.planner.bound else None
     began = clock.perf_counter()
     episodes = each(partial(episode, name=effort.method), range(effort.estimated), effort.jobs, chunk=4)
     hits = [e.number for e in episodes if e.outcome == Outcome.COLLISION]
@@ -81,33 +83,29 @@ def _further(k: int, numbers: Sequence[int], name: str) -> Episode:
 
 
 def report(
-    episodes: Sequence[Episode], level: float, took: float, effort: Effort, further: Sequence[Episode] = ()
+    episodes: Sequence[Episode], level: float | None, took: float, effort: Effort, further: Sequence[Episode] = ()
 ) -> Report:
-    """Table of the episodes, against the stated level; `further` ones are drives of worlds in which one collided."""
-    total, ticks, held = (sum(getattr(e, name) for e in episodes) for name in ("seconds", "ticks", "held"))
-    cycles, broken = sum(e.cycles for e in episodes), sum(e.broken for e in episodes)
+    """Table of the episodes, against the level that the method states, if it states one.
+
+    `further` ones are drives of worlds in which one collided.
+    """
+    total = sum(e.seconds for e in episodes)
     count = {outcome: [e for e in episodes if e.outcome == outcome] for outcome in map(str, Outcome)}
-    drives, allowed = len(episodes), 100.0 * (1.0 - level)
+    drives, allowed = len(episodes), None if level is None else Target(100.0 * (1.0 - level))
     hits = count["collision"]
     rows = [
         row("episodes", "", [drives]),
-        row(f"collisions ({interval(len(hits), drives)})", "%", [100.0 * len(hits) / drives], Target(allowed)),
-        row("collisions at a tick at which delta held", "", [sum(e.collided_within_delta for e in hits)]),
+        row(f"collisions ({interval(len(hits), drives)})", "%", [100.0 * len(hits) / drives], allowed),
         row(f"timeouts ({interval(len(count['timeout']), drives)})", "%", [100.0 * len(count["timeout"]) / drives]),
         row("time of the successful ones", "s", [e.time for e in count["success"]]),
-        row(f"ticks at which delta did not hold, of {ticks:,}", "%", [100.0 * (1.0 - held / ticks)], Target(allowed)),
-        row(f"cycles with such a tick, of {cycles:,} ({interval(broken, cycles)})", "%", [100.0 * broken / cycles]),
-        row(
-            f"episodes with such a tick ({interval(sum(e.broken > 0 for e in episodes), drives)})", "%",
-            [100.0 * sum(e.broken > 0 for e in episodes) / drives],
-        ),
-        row("mean delta", "mm", [1000.0 * e.delta for e in episodes if e.ticks]),
-        row("mean deviation", "mm", [1000.0 * e.deviation for e in episodes if e.ticks]),
+        *delta_rows(episodes, allowed),
         row("processor time of an episode", "s", [e.seconds for e in episodes]),
         *further_rows(further),
     ]  # fmt: skip
     notes = [
-        f"{effort.method} with {ITERATIONS[0]} to {ITERATIONS[1]} iterations a cycle; level {level:g}; 95 % intervals.",
+        f"{effort.method} with {ITERATIONS[0]} to {ITERATIONS[1]} iterations a cycle; "
+        f"{'no level' if level is None else f'level {level:g}'}; 95 % intervals.",
+        "Changes were kept or refused by some of these worlds; those from 12000 on only after they were measured.",
         f"Processor time {total:,.0f} s in {effort.jobs} processes, {took:,.0f} s of wall clock.",
     ]
     if hits:
@@ -115,17 +113,40 @@ def report(
     return Report("estimated", rows, notes=notes)
 
 
+def delta_rows(episodes: Sequence[Episode], allowed: Target | None) -> list[Row]:
+    """How often delta held; no rows of a method without a clearance."""
+    ticks, held, cycles, broken = (
+        sum(getattr(e, name) for e in episodes) for name in ("ticks", "held", "cycles", "broken")
+    )
+    if ticks == 0:
+        return []
+    hits, drives = [e for e in episodes if e.outcome == Outcome.COLLISION], len(episodes)
+    some = sum(e.broken > 0 for e in episodes)
+    return [
+        row("collisions at a tick at which delta held", "", [sum(e.collided_within_delta for e in hits)]),
+        row("collisions without a tick with a bound just before", "", [sum(not e.judged_to_end for e in hits)]),
+        row(f"ticks at which delta did not hold, of {ticks:,}", "%", [100.0 * (1.0 - held / ticks)], allowed),
+        row(f"cycles with such a tick, of {cycles:,} ({interval(broken, cycles)})", "%", [100.0 * broken / cycles]),
+        row(f"episodes with such a tick ({interval(some, drives)})", "%", [100.0 * some / drives]),
+        row("mean delta", "mm", [1000.0 * e.delta for e in episodes if e.ticks]),
+        row("mean deviation", "mm", [1000.0 * e.deviation for e in episodes if e.ticks]),
+    ]
+
+
 def further_rows(further: Sequence[Episode]) -> list[Row]:
     """What came of further drives of the worlds in which an episode collided.
 
     A third of them collide, so that two versions can be compared with a fortieth of the drives that it takes
-    on all worlds.
+    on all worlds.  The interval is bootstrapped over worlds, since the drives of one are alike.
     """
     if not further:
         return []
-    worlds, hits = {e.number for e in further}, Counter(e.number for e in further if e.outcome == Outcome.COLLISION)
-    always = sum(count * len(worlds) == len(further) for count in hits.values())
-    chance = interval(hits.total(), len(further))
+    worlds, hits = (
+        Counter(e.number for e in further),
+        Counter(e.number for e in further if e.outcome == Outcome.COLLISION),
+    )
+    always = sum(hits[world] == drives for world, drives in worlds.items())
+    chance = grouped_interval([hits[world] for world in worlds], list(worlds.values()))
     return [
         row(f"collisions in {len(further)} further drives of these worlds, other seeds ({chance})", "%",
             [100.0 * hits.total() / len(further)]),
@@ -183,7 +204,7 @@ def judged(number: int, result: TrialResult, vehicle: Vehicle, seconds: float) -
     times, truth = np.array([s.time for s in result.steps]), np.array([s.pose for s in result.steps])
     driven = np.array([not s.watchdog for s in result.steps])
     pose = [vehicle.index(name) for name in ("x", "y", "theta")]
-    apart, deltas, cycle_of = [np.zeros(0)], [np.zeros(0)], [np.zeros(0, dtype=int)]
+    apart, deltas, cycle_of, last_judged = [np.zeros(0)], [np.zeros(0)], [np.zeros(0, dtype=int)], -math.inf
     ends = [cycle.time for cycle in result.cycles[1:]] + [math.inf]
     for k, (cycle, end) in enumerate(zip(result.cycles, ends, strict=True)):
         predicted = cycle.predicted
@@ -195,8 +216,11 @@ def judged(number: int, result: TrialResult, vehicle: Vehicle, seconds: float) -
         apart.append(farthest_point(truth[within], expected, vehicle.footprint))
         deltas.append(np.interp(times[within], predicted.times, predicted.delta))
         cycle_of.append(np.full(int(within.sum()), k))
+        last_judged = float(times[within][-1])
     deviation, delta, cycles = np.concatenate(apart), np.concatenate(deltas), np.concatenate(cycle_of)
     held = deviation <= delta
+    tick = float(np.diff(times).max()) if len(times) > 1 else math.inf
+    to_end = bool(last_judged > result.time - tick - 1e-9)
     return Episode(
         number=number,
         outcome=str(result.outcome),
@@ -207,6 +231,7 @@ def judged(number: int, result: TrialResult, vehicle: Vehicle, seconds: float) -
         broken=len(np.unique(cycles[~held])),
         delta=float(delta.mean()) if len(delta) else 0.0,
         deviation=float(deviation.mean()) if len(deviation) else 0.0,
-        collided_within_delta=bool(result.outcome is Outcome.COLLISION and len(held) and held[-1]),
+        judged_to_end=to_end,
+        collided_within_delta=bool(result.outcome is Outcome.COLLISION and to_end and held[-1]),
         seconds=seconds,
     )

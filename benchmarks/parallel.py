@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import TypeVar
 
 from kraft.driving.method import load_method
-from kraft.evaluation.statistics import wilson
+from kraft.evaluation.statistics import grouped_share_interval, wilson
 from kraft.planning.compilation import ensure_compiled
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import Vehicle
@@ -47,4 +47,10 @@ def planning_vehicle(method: str, name: str | None = None) -> Vehicle:
 def interval(count: int, total: int) -> str:
     """Share with its 95 % Wilson interval, in percent."""
     low, high = wilson(count, total)
+    return f"{100 * low:.1f} to {100 * high:.1f} %"
+
+
+def grouped_interval(counts: Sequence[int], sizes: Sequence[int]) -> str:
+    """95 % interval of a share, in percent, by the bootstrap over groups of alike drives: `counts` of their `sizes`."""
+    low, high = grouped_share_interval(counts, sizes)
     return f"{100 * low:.1f} to {100 * high:.1f} %"

@@ -10,7 +10,9 @@ import pytest
 from support.benchmarks import quantities
 
 from benchmarks import estimated, estimates, knowledge
-from benchmarks.effort import SMOKE
+from benchmarks.effort import FULL, SMOKE
+from benchmarks.parallel import grouped_interval
+from kraft.trial.result import Outcome
 from kraft.vehicles.load import load_vehicle
 
 
@@ -35,6 +37,48 @@ def test_episodes_compare_the_true_motion_with_the_bound() -> None:
     repeated, other = estimated.episode(0, SMOKE.method), estimated.episode(0, SMOKE.method, again=1)
     assert replace(repeated, seconds=0.0) == replace(episodes[0], seconds=0.0)
     assert (other.number, other.deviation == repeated.deviation) == (0, False)
+
+
+def test_a_method_without_a_clearance_or_a_level_is_reported_without_what_it_does_not_state() -> None:
+    drive = estimated.episode(0, SMOKE.method)
+    unbounded = replace(drive, ticks=0, held=0, cycles=0, broken=0, delta=0.0, deviation=0.0, judged_to_end=False)
+    table = estimated.report([unbounded], None, 1.0, SMOKE)
+    assert not any("delta" in name for name in quantities(table))
+    assert [each.target for each in table.rows if each.target] == []
+    fixed = estimated.report([drive], None, 1.0, SMOKE)
+    assert any("delta did not hold" in name for name in quantities(fixed))
+    assert [each.target for each in fixed.rows if each.target] == []
+    assert "nan" not in table.text() + fixed.text()
+    stated = estimated.report([drive], 0.99, 1.0, SMOKE)
+    assert len([each.target for each in stated.rows if each.target]) == 2
+
+
+def test_delta_held_at_a_collision_only_if_it_was_known_just_before() -> None:
+    spec, true = estimated.episode_parts(0, SMOKE.method)
+    result = estimated.driven(spec, true)
+    hit = replace(result, outcome=Outcome.COLLISION)
+    assert estimated.judged(0, hit, spec.vehicle, 0.0).judged_to_end
+    unbounded = replace(hit.cycles[-1], predicted=replace(hit.cycles[-1].predicted, delta=None))
+    last = [step for step in hit.steps if step.time < unbounded.time + 0.1]
+    short = replace(hit, cycles=(*hit.cycles[:-1], unbounded), steps=tuple(last), time=unbounded.time + 0.11)
+    found = estimated.judged(0, short, spec.vehicle, 0.0)
+    assert (found.judged_to_end, found.collided_within_delta) == (False, False)
+    counted = quantities(estimated.report([found], 0.99, 1.0, SMOKE))
+    assert counted["collisions without a tick with a bound just before"] == 1.0
+    assert counted["collisions at a tick at which delta held"] == 0.0
+
+
+def test_what_collides_for_want_of_knowledge_is_judged_by_world() -> None:
+    worlds = len(knowledge.PRONE)
+    outcomes = ["collision" if k % worlds < 9 else "success" for k in range(6 * worlds)]
+    found = knowledge.row_of("it", outcomes)
+    assert found.median == pytest.approx(100 / 3)
+    assert f"54 of {6 * worlds}, {grouped_interval([6] * 9 + [0] * 18, [6] * 27)}; 0 timeouts" in found.quantity
+
+
+def test_estimates_are_measured_in_worlds_that_no_target_is() -> None:
+    assert FULL.estimated <= estimates.FIRST_CAR
+    assert FULL.arenas <= estimates.FIRST_ARENA
 
 
 def test_further_drives_of_a_world_are_counted_apart() -> None:
