@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import resource
 import time
 
 import numpy as np
 
 from benchmarks.effort import Effort
+from benchmarks.machine import resident_bytes
 from benchmarks.report import Report, Row, Target, row
 from kraft.driving.method import load_method
 from kraft.scenario import load_scenario
@@ -89,7 +89,7 @@ def growth_rows(effort: Effort) -> list[Row]:
         times = [cycle.planning_ms for cycle in result.cycles[1:]]
         first += times if k < trials // 2 else []
         last += times if k >= trials // 2 else []
-        memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
+        memory.append(resident_bytes() / 2**20)  # not the largest so far, which cannot grow after a peak
     warm = memory[min(WARM, trials - 2)]
     return [
         row("trials in one process", "", [trials]),

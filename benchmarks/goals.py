@@ -15,6 +15,7 @@ import yaml
 
 from benchmarks.effort import Effort
 from benchmarks.exact import Body, Rectangle
+from benchmarks.judge import Motion, dense
 from benchmarks.models import Model, model_of, rk4
 from benchmarks.report import Report, Row, Target, row, silenced
 from kraft.vehicles.dynobench import APPROACH, SPEED, TURN, UNICYCLE1_V0, UNICYCLE1_V1, UNICYCLE1_V2, UNICYCLE2_V0
@@ -62,15 +63,23 @@ class Problem:
         return DirtSolver(self.vehicle, Workspace(self.bounds, obstacles), self.goal, self.safety, Settings())
 
     def holds(self, plan: Plan) -> bool:
-        """Whether an independent integration of the plan is free and ends in the goal."""
-        state, states = self.start[None], [self.start[None]]
+        """Whether an independent integration of the plan is free, as `dense` looks at it, and ends in the goal."""
+        motion = self.integrated(plan)
+        _, states = dense(self.model, motion, self.vehicle.footprint.reach)
+        free = not Body(self.solids, self.vehicle.footprint).any_collision(states[:, :3])
+        return free and self.goal.contains(self.vehicle, motion.samples[-1])
+
+    def integrated(self, plan: Plan) -> Motion:
+        """The plan's controls from the start, in `FINER` steps for each edge."""
+        times, samples, controls = [0.0], [self.start], []
         for control, duration in zip(plan.controls, plan.durations, strict=True):
             for _ in range(FINER):
-                state = rk4(self.model, state, control[None], np.array([duration / FINER]))
-                states.append(state)
-        body = Body(self.solids, self.vehicle.footprint)
-        free = not body.any_collision(np.concatenate(states)[:, :3])
-        return free and self.goal.contains(self.vehicle, state[0])
+                step = duration / FINER
+                times.append(times[-1] + step)
+                samples.append(rk4(self.model, samples[-1][None], control[None], np.array([step]))[0])
+                controls.append(control)
+        held = np.array(controls).reshape(-1, len(self.vehicle.controls))
+        return Motion(np.array(times), np.array(samples), held)
 
 
 def turning_round(size: float) -> Problem:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 
@@ -44,7 +45,11 @@ def solver(query: Scene, *, polish: bool) -> DirtSolver:
 
 
 def over_time(query: Scene, polish: bool, seeds: int) -> list[Row]:
-    """First plans, costs and changes of the steering after several times, and edges per second of the search."""
+    """First plans, costs and changes of the steering after several times, and edges per second of the search.
+
+    A search without a plan has an infinite cost, and its steering no changes.  First plans are those of the longest
+    searches, since shorter ones end before some of them.
+    """
     dirt, rows = solver(query, polish=polish), []
     which = f"{query.name}, {'with' if polish else 'without'}"
     firsts, rates = [], []
@@ -53,13 +58,12 @@ def over_time(query: Scene, polish: bool, seeds: int) -> list[Row]:
         for seed in range(seeds):
             dirt.start(query.start, seed)
             progress = dirt.grow(seconds=look)
-            plan = dirt.plan()
-            if plan is None or not plan.reaches_goal:
-                continue
-            costs.append(plan.cost)
-            changes.append(steering_changes(query, plan))
-            if progress.first_solution is not None:
-                firsts.append(1e3 * progress.first_solution[0])
+            plan, first = dirt.plan(), progress.first_solution
+            found = plan is not None and plan.reaches_goal
+            costs.append(plan.cost if plan is not None and found else math.inf)
+            changes += [steering_changes(query, plan)] if plan is not None and found else []
+            if look == max(LOOKS):
+                firsts.append(math.inf if first is None else 1e3 * first[0])
         target = COST_WITHIN.get((query.name, look)) if polish else None
         rows += [
             row(f"{which}: cost after {number(1e3 * look)} ms", "s", costs, Target(target) if target else None),

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -78,13 +79,13 @@ def drive(scene: str, transport: str, seed: int) -> Pair:
             settings = f'{{kind: rosbridge, url: "ws://localhost:{_free_port()}"}}'
         (folder / "robot.yaml").write_text(FILE.format(transport=settings), encoding="utf-8")
         common = [scene, "--robot", str(folder / "robot.yaml"), "--seed", str(seed), "--json"]
-        world = _kraft("world", *common)
-        driver = _kraft("drive", *common, "--method", METHOD, "--out", str(folder / "out"))
-        driven, _ = driver.communicate(timeout=TIMEOUT)
-        try:
+        with ExitStack() as ends:
+            world = _kraft("world", *common)
+            ends.callback(_end, world)
+            driver = _kraft("drive", *common, "--method", METHOD, "--out", str(folder / "out"))
+            ends.callback(_end, driver)
+            driven, _ = driver.communicate(timeout=TIMEOUT)
             simulated, _ = world.communicate(timeout=TIMEOUT)
-        finally:
-            world.kill()
         with (folder / "out" / "steps.csv").open(encoding="utf-8", newline="") as file:
             steps = list(csv.DictReader(file))
         late, work = ([float(step[name]) for step in steps] for name in ("late", "work"))
@@ -94,6 +95,12 @@ def drive(scene: str, transport: str, seed: int) -> Pair:
 def _kraft(*arguments: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "kraft_cli", *arguments]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    """End a process that may have ended by itself, and close what was read of it."""
+    with process:
+        process.kill()
 
 
 def _free_port() -> int:

@@ -114,7 +114,7 @@ class _Drive:
     def run(self, replanner: Replanner, start: Floats) -> Episode:
         """Replan and deviate until the goal is reached or the cycles are over."""
         current, believed = replanner.begin(start), start
-        stops, broken, number = 0, 0, 0
+        stops, broken, cycles = 0, 0, 0
         for number in range(CYCLES):
             truth = believed[:3] + self._offset
             if math.dist(truth[:2], self._scene.goal.center) < self._scene.goal.radius or self._clearance <= 0.0:
@@ -130,8 +130,9 @@ class _Drive:
             self._offset = truth - predicted.state_at(float(number))[:3]
             broken += self._deviation() > DELTA + 1e-9
             believed = self._execute(predicted, float(number))
+            cycles += 1
         arrived = math.dist((believed[:3] + self._offset)[:2], self._scene.goal.center) < self._scene.goal.radius
-        return Episode(self._scene.number, self._hostile, number, stops, arrived, self._clearance, broken)
+        return Episode(self._scene.number, self._hostile, cycles, stops, arrived, self._clearance, broken)
 
     def _predicted(self, cycle: Cycle) -> Reference:
         """What SAFETY was asked about: the closed loop's prediction for a plan, the manoeuvre for a contingency."""

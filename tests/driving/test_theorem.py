@@ -44,6 +44,11 @@ def test_vehicles_move_stop_and_arrive(episodes: list[Episode]) -> None:
     assert any(each.arrived for each in episodes)
 
 
+def test_all_cycles_of_an_episode_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(theorem, "CYCLES", 2)
+    assert episode(0).cycles == 2
+
+
 def test_without_the_check_before_a_cycle_the_hostile_world_hits(monkeypatch: pytest.MonkeyPatch) -> None:
     def trusting(self: Replanner, root, begins, estimate, current):  # type: ignore[no-untyped-def]
         from kraft.driving.messages import Commitment

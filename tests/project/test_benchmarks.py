@@ -20,7 +20,6 @@ import kraft
 from benchmarks import (
     arenas,
     callbacks,
-    changes,
     commands,
     disturbances,
     experiment,
@@ -316,26 +315,6 @@ def test_recommended_drives_are_compared_with_random_ones(monkeypatch: pytest.Mo
     found = quantities(experiment.run(SMOKE))
     assert found["mushr: held-out error after 3 s, 1 recommended"] > 0.0
     assert found["mushr: worst standard deviation over that of 2 random"] > 0.0
-
-
-def test_a_change_is_followed_when_a_value_is_first_near() -> None:
-    values = [(-1.0, 0.0), (0.5, 3.0), (1.5, -2.0), (2.5, 0.4), (3.5, 2.0)]
-    assert changes.followed(values, 0.5) == 2.5
-    assert changes.followed(values, 0.1) == math.inf
-    assert changes.followed(values[:3], 0.1) is None  # the trial ended too soon to say
-    found = {each.quantity: each for each in changes.following("it", [0.5, 2.5, math.inf, 4.0])}
-    assert next(each.median for name, each in found.items() if "within 3 s" in name) == 50.0
-
-
-def test_trials_with_a_change_have_the_seeds_of_those_without_and_their_errors_since_then() -> None:
-    same = [changes.change_of(kind, 5)[0] for kind in changes.KINDS]
-    assert len(set(same)) == 1
-    drive = changes.drive(changes.KINDS.index("linkage"), SMOKE.method)
-    assert drive.kind == "linkage"
-    assert changes.TIMES[0] <= drive.change <= changes.TIMES[1]
-    assert all(0.0 < error < 1.0 for _, error in drive.errors)
-    offsets = [abs(value) for time, value in drive.estimates if time < 0.0]
-    assert np.median(offsets) == pytest.approx(math.radians(4.0), abs=math.radians(2.0))
 
 
 def test_a_robot_that_is_its_model_ends_where_its_plan_does_and_another_one_does_not() -> None:
