@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from ompl_ext.arrays import Floats
 from ompl_ext.fingerprint import fingerprint
 from ompl_ext.jit import inlined
+from ompl_ext.names import FORCE
 
 MAX_MANOEUVRES = 32  # they are simulated together as lanes
 derivative = inlined  # decorator of a vehicle's functions
@@ -113,7 +115,10 @@ class Vehicle:
     ranges: Mapping[str, ParameterRange] = field(default_factory=dict)
     """of the parameters that may be estimated while the vehicle drives; planning does not use them"""
     gravity_share: float | None = None
-    """share of gravity along a slope that accelerates the vehicle, the rest the drive takes; None if it is not known"""
+    """share of gravity along a slope that accelerates the vehicle, the rest the drive takes; None if it is not known
+
+    The force itself is the parameters `FORCE`.
+    """
     delay: tuple[float, float] | None = None
     """delay of commands and its standard deviation (s), which only estimators use; None if it is not known"""
     errors_by_speed: tuple[OpenLoopErrors, ...] = ()
@@ -122,7 +127,7 @@ class Vehicle:
     """file that its numbers were read from, for messages; empty for a vehicle in code alone"""
 
     def __post_init__(self) -> None:
-        problems = [*_shape_problems(self), *_range_problems(self)]
+        problems = [*_shape_problems(self), *_number_problems(self), *_range_problems(self)]
         if problems:
             raise ValueError(f"vehicle {self.name!r}: " + "; ".join(problems))
 
@@ -210,6 +215,29 @@ def _shape_problems(vehicle: Vehicle) -> list[str]:
     if vehicle.stop is None and len(vehicle.manoeuvres) > 1:
         problems.append("several manoeuvres need a stop(x, p, k) function")
     return problems
+
+
+def _number_problems(vehicle: Vehicle) -> Iterator[str]:
+    """Parameters that are not numbers, limits that no state keeps, and what is stated for estimators."""
+    for name, value in vehicle.parameters.items():
+        if not _is_finite(value):
+            yield f"parameter {name} needs a finite number, got {value!r}"
+    for name, (low, high) in vehicle.limits.items():
+        if not low < high:
+            yield f"the limits of {name} need low < high, got ({low}, {high})"
+    if vehicle.gravity_share is not None:
+        if not 0.0 < vehicle.gravity_share <= 1.0:
+            yield f"gravity_share must be above 0 and at most 1, got {vehicle.gravity_share}"
+        if missing := [name for name in FORCE if name not in vehicle.parameters]:
+            yield f"gravity_share needs the parameters {' and '.join(FORCE)}, there is no {' and no '.join(missing)}"
+    if vehicle.delay is not None:
+        value, std = vehicle.delay
+        if not (0.0 <= value < math.inf and 0.0 < std < math.inf):
+            yield f"delay needs a value of at least 0 s and a positive std, both finite, got {vehicle.delay}"
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, Real) and math.isfinite(value)
 
 
 def _range_problems(vehicle: Vehicle) -> list[str]:

@@ -17,7 +17,7 @@ from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.interface import Identification
 from kraft.sysid.log_motion import motions
 from kraft.sysid.smoothing import high_speed
-from kraft.vehicles.code import check_functions, vehicle_of
+from kraft.vehicles.code import check_functions, vehicle_in_code
 from kraft.vehicles.config import Footprint, Parameter, VehicleConfig
 from kraft.vehicles.load import (
     RecordedVehicle,
@@ -29,7 +29,6 @@ from kraft.vehicles.load import (
 )
 from kraft.vehicles.reference import is_code, resolve_vehicle, split_file
 from kraft.vehicles.true_robot import with_files
-from ompl_ext.kernels.specialise import are_steps_cached
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -100,7 +99,7 @@ def load_base_vehicle(reference: str) -> BaseVehicle:
     """
     resolved = resolved_reference(reference, Path.cwd())
     if is_code(resolved):
-        vehicle = vehicle_of(resolved, reference)
+        vehicle = vehicle_in_code(resolved, reference)
         base = BaseVehicle(reference, vehicle, vehicle, resolved)
     else:
         config = read_vehicle_file(resolved)
@@ -108,8 +107,7 @@ def load_base_vehicle(reference: str) -> BaseVehicle:
         if split_file(model) is not None:
             model = resolve_vehicle(model, Path(config.source.file).parent)
         base = BaseVehicle(reference, config, configured(config), model)
-    if not (base.vehicle.source and are_steps_cached(base.vehicle)):  # they were checked before they were compiled
-        check_functions(base.vehicle, reference)
+    check_functions(base.vehicle, reference)
     return base
 
 

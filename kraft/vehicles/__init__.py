@@ -10,6 +10,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from kraft.errors import Code, InputError
+from ompl_ext.names import FORCE as FORCE
 
 if TYPE_CHECKING:
     from ompl_ext.vehicle import Vehicle
@@ -45,8 +46,6 @@ def control_title(vehicle: Vehicle, name: str) -> str:
     return f"{words}, {unit}" if unit else words
 
 
-FORCE: Final = ("a_x", "a_y")
-"""Parameters that are the acceleration by a force along x and y, m/s^2, as on a slope."""
 GRAVITY: Final = 9.81  # m/s^2
 STEEPEST: Final = math.sin(math.radians(40.0))
 """Largest slope of a floor, rise per metre of it; a force that stands for a larger one has another cause."""

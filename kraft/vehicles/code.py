@@ -10,8 +10,9 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
+from types import CellType, FunctionType, ModuleType
 from typing import Any, NamedTuple
 
 import numba
@@ -20,11 +21,15 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
 import ompl_ext
+from kraft.config.document import Document
+from kraft.config.schema import Name, StrictModel, check
+from kraft.config.source import Source
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import counted, suggestion
+from kraft.vehicles.config import Delay, Footprint
 from kraft.vehicles.reference import split_file
 from ompl_ext.interrupts import interrupts_between_passes
-from ompl_ext.kernels.specialise import is_cached
+from ompl_ext.kernels.specialise import are_steps_cached, is_cached
 from ompl_ext.vehicle import Vehicle
 
 _PLANNER = Path(ompl_ext.__file__).parent
@@ -46,6 +51,49 @@ def vehicle_of(reference: str, subject: str = "") -> Vehicle:
     file, attribute = code
     module = _import_file(Path(file), subject)
     return _attribute(module, attribute, subject) if attribute else _only(module, subject)
+
+
+class StatedByCode(StrictModel):
+    """What recordings and vehicle files repeat of a vehicle, which code may state in any way."""
+
+    name: Name
+    """short name of letters, digits, - and _"""
+    footprint: Footprint
+    """{length, width, offset}, about the point whose poses are recorded"""
+    delay: Delay | None = None
+    """delay of commands {value, std}, if the vehicle states it"""
+
+    @classmethod
+    def content(cls, vehicle: Vehicle) -> dict[str, Any]:
+        """Values of a vehicle, by the keys of a file."""
+        shape, delay = vehicle.footprint, vehicle.delay
+        return {
+            "name": vehicle.name,
+            "footprint": {"length": shape.length, "width": shape.width, "offset": shape.offset},
+            "delay": None if delay is None else {"value": delay[0], "std": delay[1]},
+        }
+
+
+def vehicle_in_code(reference: str, subject: str = "") -> Vehicle:
+    """As `vehicle_of`, for a vehicle without a file, whose name, footprint and delay are those of its code.
+
+    Raises:
+        InputError: as `vehicle_of`, or if a vehicle file could not state them.
+    """
+    vehicle = vehicle_of(reference, subject)
+    check_stated(vehicle, subject or reference)
+    return vehicle
+
+
+def check_stated(vehicle: Vehicle, subject: str) -> None:
+    """Check that a vehicle file could state the name, the footprint and the delay of a vehicle.
+
+    Raises:
+        InputError: with every problem, each naming `subject`.
+    """
+    _, problems = check(StatedByCode, Document(StatedByCode.content(vehicle), Source(subject)))
+    if problems:
+        raise InputError(replace(d, problem=f"{d.path} {d.problem}", path="", code=Code.CODE) for d in problems)
 
 
 def _import(name: str, subject: str) -> ModuleType:
@@ -92,10 +140,14 @@ def _import_error(error: BaseException, subject: str) -> InputError:
 
 def _attribute(module: ModuleType, attribute: str, subject: str) -> Vehicle:
     vehicles = _vehicles(module)
-    if not hasattr(module, attribute):
+    try:
+        value = getattr(module, attribute)
+    except AttributeError:
         expected = suggestion(attribute, vehicles, none="expected the name of a Vehicle, and it defines none")
-        raise InputError.of(subject, f"there is no {attribute} in {_place(module)}", expected, Code.NOT_FOUND)
-    value = getattr(module, attribute)
+        problem = f"there is no {attribute} in {_place(module)}"
+        raise InputError.of(subject, problem, expected, Code.NOT_FOUND) from None
+    except (Exception, SystemExit) as error:  # a user's __getattr__ may raise anything
+        raise _import_error(error, subject) from error
     if not isinstance(value, Vehicle):
         expected = suggestion(attribute, vehicles, none="expected an ompl_ext.vehicle.Vehicle")
         problem = f"{attribute} is of type {type(value).__name__}, not a Vehicle"
@@ -104,7 +156,7 @@ def _attribute(module: ModuleType, attribute: str, subject: str) -> Vehicle:
 
 
 def _only(module: ModuleType, subject: str) -> Vehicle:
-    vehicles = _vehicles(module)
+    vehicles = _defined(module)
     if len(vehicles) != 1:
         found = f"defines {len(vehicles)} vehicles" if vehicles else "defines no Vehicle"
         expected = f"expected one of {', '.join(f'{subject}:{name}' for name in vehicles)}"
@@ -118,6 +170,15 @@ def _vehicles(module: ModuleType) -> dict[str, Vehicle]:
     return {name: value for name, value in vars(module).items() if isinstance(value, Vehicle)}
 
 
+def _defined(module: ModuleType) -> dict[str, Vehicle]:
+    """Vehicles of a module, each by its first name, without those of other modules if it defines one of its own."""
+    found = {id(value): name for name, value in reversed(_vehicles(module).items())}
+    others = [vars(other).values() for other in list(sys.modules.values()) if other is not module]
+    imported = {id(value) for values in others for value in list(values) if isinstance(value, Vehicle)}
+    own = {key: name for key, name in found.items() if key not in imported} or found
+    return {name: getattr(module, name) for name in reversed(own.values())}
+
+
 def _place(module: ModuleType) -> str:
     return str(module.__file__ or module.__name__)
 
@@ -126,17 +187,20 @@ _LINE_MAX = 160  # longest part of a message of numba to repeat, characters
 
 
 def check_functions(vehicle: Vehicle, reference: str) -> None:
-    """Compile and call each function alone; does nothing for a vehicle whose kernels are in the cache.
+    """Compile and call each function alone.
+
+    Those of a vehicle whose kernels are in the cache were compiled before with other values of the parameters: they are
+    only called, in Python, and compiled if that does not give finite numbers.
 
     Raises:
         InputError: with every problem of every function, each naming `reference`.
     """
-    if is_cached(vehicle):
-        return
+    compiled = is_cached(vehicle) or are_steps_cached(vehicle)
     with interrupts_between_passes():
         problems = [
             Diagnostic(reference, problem, expected, code=Code.CODE)
             for function in _functions(vehicle)
+            if not (compiled and _is_right_at_rest(function))
             for problem, expected in _problems(function)
         ]
     if problems:
@@ -171,6 +235,30 @@ def _functions(vehicle: Vehicle) -> Iterator[_Function]:
     yield _Function(vehicle.derivative, (x, inputs, p), "derivative", "(x, u, p)", count, "the state's components")
     if vehicle.stop is not None:
         yield _Function(vehicle.stop, (x, p, 0), "stop", "(x, p, k)", len(vehicle.controls), "the controls")
+
+
+def _is_right_at_rest(function: _Function) -> bool:
+    """Whether a function returns finite numbers in Python."""
+    try:
+        values = _interpreted(function.code, {})(*function.arguments)
+        return len(values) == function.values and all(map(math.isfinite, values))
+    except Exception:  # a division by zero, or what Python computes in another way: the compiled function decides
+        return False
+
+
+def _interpreted(function: Any, done: dict[int, Any]) -> Any:
+    """A compiled function, and those that it calls, as functions of Python; `done` holds those that were converted."""
+    if not isinstance(function, Dispatcher):
+        return function
+    if id(function) not in done:
+        plain = _untyped(function).py_func
+        names, cells = dict(plain.__globals__), tuple(CellType() for _ in plain.__closure__ or ())
+        done[id(function)] = FunctionType(plain.__code__, names, plain.__name__, plain.__defaults__, cells)
+        for name in set(plain.__code__.co_names) & set(names):
+            names[name] = _interpreted(names[name], done)
+        for cell, original in zip(cells, plain.__closure__ or (), strict=True):
+            cell.cell_contents = _interpreted(original.cell_contents, done)
+    return done[id(function)]
 
 
 def _problems(function: _Function) -> Iterator[tuple[str, str]]:

@@ -13,15 +13,14 @@ from typing import Any, Final
 
 from kraft.config import bundled
 from kraft.config.document import Document
-from kraft.config.schema import Name, StrictModel, check
+from kraft.config.schema import check
 from kraft.config.source import Source
 from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles import is_car
-from kraft.vehicles.code import check_functions, vehicle_of
-from kraft.vehicles.config import SPEED_EXPECTED, Delay, Parameter, VehicleConfig, load_vehicle_config
-from kraft.vehicles.config import Footprint as StatedFootprint
+from kraft.vehicles.code import StatedByCode, check_functions, check_stated, vehicle_in_code, vehicle_of
+from kraft.vehicles.config import SPEED_EXPECTED, Parameter, VehicleConfig, load_vehicle_config
 from kraft.vehicles.identification_record import SpeedPrediction
 from kraft.vehicles.reference import VehicleProblem, is_code, resolve_vehicle, split_file
 from kraft.vehicles.true_robot import CarDimensions, Robot, with_files
@@ -41,7 +40,7 @@ def load_vehicle(reference: str, folder: Path | None = None, parameters: Mapping
     """
     resolved = resolved_reference(reference, folder or Path.cwd())
     if is_code(resolved):
-        vehicle = with_parameters(vehicle_of(resolved, reference), parameters or {})
+        vehicle = with_parameters(vehicle_in_code(resolved, reference), parameters or {})
     else:
         vehicle = configured(read_vehicle_file(resolved).with_values(parameters or {}))
     check_functions(vehicle, reference)
@@ -142,31 +141,27 @@ def natural_robot(vehicle: Vehicle) -> tuple[Robot, Source]:
     return Robot(car=CarDimensions()) if is_car(vehicle) else Robot(), Source(vehicle.file or vehicle.name)
 
 
-class RecordedVehicle(StrictModel):
+class RecordedVehicle(StatedByCode):
     """What a recording states of the vehicle that drove: true of that robot, whatever model is identified from it."""
 
-    name: Name
-    """name of the vehicle"""
-    footprint: StatedFootprint
-    """{length, width, offset}, about the point whose poses were recorded"""
-    delay: Delay | None = None
-    """delay of commands {value, std}, if the vehicle states it"""
     truth: Robot | None = None
     """the true robot; an `mjcf` by its absolute path, or relative to the folder of the bundled vehicles"""
 
     @classmethod
     def of(cls, vehicle: Vehicle, true: Robot) -> RecordedVehicle:
-        """A vehicle that was driven, and its true robot with absolute paths."""
-        shape, delay = vehicle.footprint, vehicle.delay
-        if true.kind is None:  # the vehicle's own model; that of code without a file has no name by which it is found
+        """A vehicle that was driven, and its true robot with absolute paths.
+
+        Raises:
+            InputError: if a vehicle file could not state what the vehicle does.
+        """
+        check_stated(vehicle, vehicle.name)
+        if true.kind in (None, "model") and true.model is None:  # the equations of the vehicle itself
             true = true.model_copy(update={"model": vehicle.file or None})
+        # those of code without a file have no name by which they are found
+        is_stated = true.kind in ("car", "mjcf") or true.model is not None
         files = {"model": _bundled_name(true.model), "mjcf": _in_bundle(true.mjcf)}
-        return cls(
-            name=vehicle.name,
-            footprint=StatedFootprint(length=shape.length, width=shape.width, offset=shape.offset),
-            delay=None if delay is None else Delay(value=delay[0], std=delay[1]),
-            truth=None if true.kind is None else true.model_copy(update=files),
-        )
+        truth = true.model_copy(update=files) if is_stated else None
+        return cls.model_validate({**StatedByCode.content(vehicle), "truth": truth})
 
     @classmethod
     def read(cls, content: Mapping[str, Any], file: Path) -> RecordedVehicle | None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.diagnostics import located, raised
 from support.paths import ROOT
@@ -11,7 +13,8 @@ from support.paths import ROOT
 from kraft.errors import Code
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import load_scenario, parse_scenario
-from kraft.vehicles.load import load_vehicle
+from kraft.vehicles.load import RecordedVehicle, load_vehicle
+from kraft.vehicles.true_robot import Robot
 
 EXAMPLE = ROOT / "examples" / "05_vehicle.py"
 
@@ -157,6 +160,97 @@ def test_a_file_with_two_vehicles_asks_which(folder: Path) -> None:
     (folder / "zero.py").write_text("x = 1\n")
     (problem,) = raised(lambda: load_vehicle("zero.py"))
     assert problem.code is Code.CODE
+
+
+def test_a_vehicle_that_is_imported_is_not_one_that_the_file_defines(folder: Path) -> None:
+    changed = "from dataclasses import replace\nfrom kraft.vehicles.mushr import MUSHR\n"
+    (folder / "changed.py").write_text(changed + "CAR = replace(MUSHR, name='longer')\nSAME = CAR\n")
+    assert load_vehicle("changed.py").name == "longer"
+    (folder / "imported.py").write_text("from kraft.vehicles.mushr import MUSHR\n")
+    assert load_vehicle("imported.py").name == "mushr"
+
+
+def test_an_attribute_that_cannot_be_read_is_explained(folder: Path) -> None:
+    (folder / "lazy.py").write_text("def __getattr__(name):\n    raise RuntimeError('no battery')\n")
+    (problem,) = raised(lambda: load_vehicle("lazy.py:CAR"))
+    assert (problem.file, problem.code) == ("lazy.py:CAR", Code.CODE)
+    assert problem.problem == f"does not import: RuntimeError: no battery at {folder / 'lazy.py'}:2"
+
+
+def test_parameters_are_checked_also_where_the_kernels_are_in_the_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for cached in (False, True):
+        monkeypatch.setattr("kraft.vehicles.code.is_cached", lambda _, cached=cached: cached)
+        monkeypatch.setattr("kraft.vehicles.code.are_steps_cached", lambda _: False)
+        found.append(raised(lambda: load_vehicle("kraft.vehicles.benchmark:BENCHMARK", parameters={"wheelbase": 0})))
+    assert found[0] == found[1]
+    assert [problem.code for problem in found[0]] == [Code.CODE]
+    assert "nan" in found[0][0].problem
+
+
+@pytest.mark.parametrize("name", ["benchmark", "jackal", "mushr-force", "unicycle2"])
+def test_a_vehicle_whose_kernels_are_in_the_cache_loads_without_compiling(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def compile_now(_: object) -> None:
+        raise AssertionError("compiles a function")
+
+    monkeypatch.setattr("kraft.vehicles.code.is_cached", lambda _: True)
+    monkeypatch.setattr("kraft.vehicles.code._problems", compile_now)
+    assert load_vehicle(name).name == name
+
+
+@pytest.mark.parametrize(
+    ("stated", "expected"),
+    [
+        ("name='my robot'", ["name is the text 'my robot'"]),
+        ("delay=(0.6, 0.01)", ["delay.value is the number 0.6"]),
+        ("name='a b', delay=(0.6, 0.01)", ["name is the text 'a b'", "delay.value is the number 0.6"]),
+        ("footprint=Footprint(0.4, 0.0001)", ["footprint.width is the number 0.0001"]),
+    ],
+)
+def test_what_no_vehicle_file_could_state_is_refused_in_code_too(
+    stated: str, expected: list[str], folder: Path
+) -> None:
+    (folder / "car.py").write_text(CODE + f"from dataclasses import replace\nCAR = replace(CAR, {stated})\n")
+    problems = raised(lambda: load_vehicle("car.py:CAR"))
+    assert [(each.file, each.code, each.problem) for each in problems] == [
+        ("car.py:CAR", Code.CODE, each) for each in expected
+    ]
+    text = "name: a\nmodel: car.py:CAR\nfootprint: {length: 1, width: 1}\ntop_speed: 1\n"
+    (folder / "car.yaml").write_text(text)
+    assert load_vehicle("car.yaml").name == "a"  # the file states them
+
+
+def test_what_is_recorded_of_a_vehicle_in_code_is_checked() -> None:
+    vehicle = replace(load_vehicle("jackal"), name="my robot", file="")
+    (problem,) = raised(lambda: RecordedVehicle.of(vehicle, Robot()))
+    assert (problem.file, problem.code) == ("my robot", Code.CODE)
+
+
+@pytest.mark.parametrize(
+    ("stated", "problem"),
+    [
+        ("limits={'v': (1, 0)}", "the limits of v need low < high"),
+        ("delay=(float('nan'), -1.0)", "delay needs"),
+        ("delay=(0.1, 0.0)", "delay needs"),
+        ("gravity_share=0.5", "gravity_share needs the parameters a_x and a_y"),
+        ("gravity_share=-3.0, parameters={'a_x': 0.0, 'a_y': 0.0}", "gravity_share must be above 0"),
+        ("parameters={'tau': float('nan')}", "parameter tau needs a finite number"),
+        ("parameters={'tau': 'long'}", "parameter tau needs a finite number"),
+    ],
+)
+def test_numbers_that_a_vehicle_cannot_have_are_refused(stated: str, problem: str, folder: Path) -> None:
+    (folder / "car.py").write_text(CODE + f"from dataclasses import replace\nCAR = replace(CAR, {stated})\n")
+    (found,) = raised(lambda: load_vehicle("car.py:CAR"))
+    assert found.code is Code.CODE
+    assert f"vehicle 'car': {problem}" in found.problem
+
+
+def test_numbers_of_any_numeric_type_are_parameters() -> None:
+    stated = {"a_x": np.float32(0.5), "a_y": 1}
+    vehicle = replace(load_vehicle("mushr-drive"), parameters=stated, ranges={}, gravity_share=1, delay=(0, 0.1))
+    assert vehicle.parameter_array.tolist() == [0.5, 1.0]
 
 
 def test_what_a_scenario_names_is_explained_at_its_line(folder: Path) -> None:
