@@ -74,6 +74,9 @@ def find(kind: Kind, name_or_path: str | Path) -> Path:
         problem = f"there is no {kind} of this name"
         raise InputError.of(name_or_path, problem, f"{expected} (or the path of a .yaml file)", Code.NOT_FOUND)
     path = Path(name_or_path)
+    if os.path.islink(path) and not os.path.exists(path):
+        problem = f"is a link to {os.readlink(path)}, which does not exist"
+        raise InputError.of(str(path), problem, "expected a link to a file that exists", Code.NOT_FOUND)
     if not os.path.exists(path):
         raise InputError.of(str(path), "there is no such file", _nearby(kind, path), Code.NOT_FOUND)
     if os.path.isdir(path):

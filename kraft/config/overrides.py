@@ -13,6 +13,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from kraft.config.document import Document, Value
 from kraft.config.source import KeyPath, Place, format_path, parse_path
 from kraft.config.yaml_reader import parse_document
@@ -136,7 +138,8 @@ def overridden(document: Document, overrides: Sequence[Override]) -> Document:
     for override in overrides:
         try:
             path, data = _replaced(data, override.path, override)
-            places[path] = override.place
+            within = [at for at in places if at[: len(path)] == path]  # nothing is left of these values
+            places = {at: place for at, place in places.items() if at not in within} | {path: override.place}
         except InputError as error:
             problems += error.diagnostics
     if problems:
@@ -149,18 +152,25 @@ def overridden(document: Document, overrides: Sequence[Override]) -> Document:
 def value_text(value: Any, digits: int | None = None) -> str:
     """Value in one line of YAML, numbers exactly or with some digits; lists may be tuples."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{key}: {value_text(each, digits)}" for key, each in value.items()) + "}"
+        return "{" + ", ".join(f"{_text(key)}: {value_text(each, digits)}" for key, each in value.items()) + "}"
     if isinstance(value, (tuple, list)):
         return "[" + ", ".join(value_text(each, digits) for each in value) + "]"
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, str):
-        plain = _WORD.fullmatch(value) and not _UNQUOTED.fullmatch(value)
-        return value if plain else json.dumps(value, ensure_ascii=False)
+        return _text(value)
     if isinstance(value, float):
         short = f"{value:.{digits or 12}g}"
         return short if digits or float(short) == value else repr(value)
     return str(value)
+
+
+def _text(value: str) -> str:
+    """Text in YAML, in quotes where it needs them; characters that cannot be printed are escaped."""
+    if _WORD.fullmatch(value) and not _UNQUOTED.fullmatch(value):
+        return value
+    quoted = json.dumps(value, ensure_ascii=False)  # otherwise with surrogates, which YAML does not have
+    return "".join(each if each.isprintable() else f"\\U{ord(each):08x}" for each in quoted)
 
 
 def plain_value(value: Value) -> Any:
@@ -229,4 +239,6 @@ def _frozen(value: Any) -> Value:
         return {str(key): _frozen(each) for key, each in value.items()}
     if isinstance(value, (list, tuple)):
         return tuple(_frozen(each) for each in value)
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _frozen(value.tolist())
     return str(value) if isinstance(value, Path) else value

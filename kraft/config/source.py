@@ -85,8 +85,12 @@ class Source:
         return None
 
     def replacement(self, path: KeyPath) -> Place | None:
-        """Place of the override that the value at `path` comes from; None if it comes from the file."""
-        return next((self.replaced[path[:end]] for end in range(len(path) + 1) if path[:end] in self.replaced), None)
+        """Place of the override that the value at `path` comes from; None if it comes from the file.
+
+        It is the innermost one: an override may have added the section that another one sets a key of.
+        """
+        ends = range(len(path), -1, -1)
+        return next((self.replaced[path[:end]] for end in ends if path[:end] in self.replaced), None)
 
     def diagnostic(
         self, path: KeyPath | str, problem: str, expected: str, *, at_key: bool = False, code: Code = Code.VALUE

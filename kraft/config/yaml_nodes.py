@@ -13,8 +13,10 @@ from kraft.config.document import BYTES_MAX, DEPTH_MAX, TOO_DEEP, decode, syntax
 from kraft.config.source import Position
 from kraft.errors import Code, InputError
 
-PLAIN: Final = "!plain"
+PLAIN: Final = "plain"
 """Tag of an unquoted word, whose value `kraft.config.scalar.plain_scalar` decides."""
+WRITTEN: Final = "written "
+"""Prefix of a tag that is written in the file, so that none of them is one that the composer gives."""
 _VALID: Final = "expected YAML, such as 'key: value'"
 
 
@@ -64,7 +66,7 @@ def _composed_or_explained(text: str, file: str) -> yaml.Node | None:
 
 
 class _Composer(yaml.composer.Composer):
-    """PyYAML's composer with a limit of depth, which leaves unquoted words as they are.
+    """PyYAML's composer with a limit of depth, which leaves unquoted words as they are and marks tags of the file.
 
     Composing is recursive: libyaml's own composer overflows the stack in a text that is nested too deep.
     """
@@ -78,9 +80,11 @@ class _Composer(yaml.composer.Composer):
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         self.depth += 1
+        event = self.peek_event()  # type: ignore[attr-defined]
         if self.depth > DEPTH_MAX:
-            mark = self.peek_event().start_mark  # type: ignore[attr-defined]
-            raise yaml.MarkedYAMLError(problem=TOO_DEEP, problem_mark=mark)
+            raise yaml.MarkedYAMLError(problem=TOO_DEEP, problem_mark=event.start_mark)
+        if getattr(event, "tag", None) is not None:
+            event.tag = WRITTEN + event.tag
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node

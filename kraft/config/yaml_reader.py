@@ -17,7 +17,7 @@ import yaml
 from kraft.config.document import DEPTH_MAX, TOO_DEEP, Document, Unusable, Value, holds_surrogate, read_bytes
 from kraft.config.scalar import AmbiguousScalar, plain_scalar
 from kraft.config.source import KeyPath, Position, Source
-from kraft.config.yaml_nodes import PLAIN, compose
+from kraft.config.yaml_nodes import PLAIN, WRITTEN, compose
 from kraft.errors import Code, Diagnostic, InputError
 
 NODES_MAX: Final = 100_000  # after resolving aliases: a few lines of aliases can stand for billions of values
@@ -96,7 +96,7 @@ class _Converter:
             return self.mapping(node, path)
         if isinstance(node, yaml.ScalarNode) and node.tag in (PLAIN, _STANDARD + "str"):
             return self.scalar(node, path)
-        tag = node.tag.replace(_STANDARD, "!!")
+        tag = node.tag.removeprefix(WRITTEN).replace(_STANDARD, "!!")
         return self.reject(node, path, f"the tag {tag} is not supported", "expected the value without a tag")
 
     def scalar(self, node: yaml.ScalarNode, path: KeyPath) -> Value:

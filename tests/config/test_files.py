@@ -7,9 +7,11 @@ import os
 from pathlib import Path
 
 import pytest
+from support.diagnostics import raised
 
 from kraft import files
-from kraft.errors import InputError
+from kraft.config import bundled
+from kraft.errors import Code, InputError
 from kraft.files import Replacement, write_whole
 
 
@@ -53,6 +55,14 @@ def test_an_error_of_the_library_leaves_what_was_there(error: BaseException, tmp
         interrupted_halfway()
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_broken_link_is_said_to_be_one(tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").symlink_to("gone.yaml")
+    (problem,) = raised(lambda: bundled.find("scenario", tmp_path / "scene.yaml"))
+    assert (problem.file, problem.code) == (str(tmp_path / "scene.yaml"), Code.NOT_FOUND)
+    assert "gone.yaml" in problem.problem
+    assert "did you mean" not in problem.expected
 
 
 def test_a_file_in_the_way_of_a_folder_is_an_error(tmp_path: Path) -> None:

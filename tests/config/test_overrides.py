@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from support.diagnostics import located, raised
 from support.paths import ROOT
 
-from kraft.config.overrides import Override, overrides_of, parse_overrides, parse_sweeps, value_text
+from kraft.config.overrides import Override, overridden, overrides_of, parse_overrides, parse_sweeps, value_text
+from kraft.config.source import Place, Position
+from kraft.config.yaml_reader import parse_document
 from kraft.errors import Code
 from kraft.scenario import Scenario, load_scenario
 
@@ -46,6 +50,40 @@ def test_python_values_do_the_same() -> None:
     settings = {"sensing.camera": [1, 2, 6], "truth.floor_friction": 0.3}
     scene = load_scenario("turns", settings)
     assert (scene.sensing.camera, scene.truth.floor_friction) == ((1.0, 2.0, 6.0), 0.3)
+
+
+def test_values_of_numpy_do_the_same() -> None:
+    settings = {"goal.center": np.array([1.0, 4.5]), "goal.radius": np.float64(0.3), "planning.blossom": np.int64(8)}
+    scene = load_scenario("turns", {**settings, "planning.pruning": np.bool_(True), "start.x": np.array(1.1)})
+    assert (scene.goal.center, scene.goal.radius, scene.planning.blossom) == ((1.0, 4.5), 0.3, 8)
+    assert (scene.planning.pruning, scene.start.x) == (True, 1.1)
+
+
+def test_a_value_of_another_type_is_named_by_its_type() -> None:
+    (problem,) = raised(lambda: load_scenario("turns", {"goal.center": {1.0, 4.5}}))
+    assert (problem.code, problem.problem) == (Code.TYPE, "is a value of type set")
+
+
+def test_a_key_within_a_section_that_another_override_adds_has_its_own_place(tmp_path: Path) -> None:
+    text = (ROOT / "scenarios" / "turns.yaml").read_text(encoding="utf-8")
+    (tmp_path / "scene.yaml").write_text(text.partition("truth:")[0], encoding="utf-8")
+    folder = tmp_path / "suites"
+    folder.mkdir()
+    (tmp_path / "robot.xml").write_text("")
+    suite = Place(str(folder / "a.yaml"), Position(3, 7), folder=folder)
+    first, second = Override("truth.floor_friction", 0.5, suite), replace(suite, folder=tmp_path)
+    scene = load_scenario(tmp_path / "scene.yaml", [first, Override("truth.mjcf", "robot.xml", second)])
+    assert scene.truth.mjcf == str(tmp_path / "robot.xml")
+    given = [first, *parse_overrides(["truth.mjcf=none.xml"], "set")]
+    (problem,) = raised(lambda: load_scenario(tmp_path / "scene.yaml", given))
+    assert (problem.file, problem.path, problem.line) == ("set", "truth.mjcf", None)
+
+
+def test_a_section_that_is_replaced_again_has_the_later_place() -> None:
+    document = parse_document("a: {b: 1}", "f.yaml")
+    inner, outer = (Override(key, value, Place(key)) for key, value in (("a.b", 2), ("a", {"b": 3})))
+    source = overridden(overridden(document, [inner]), [outer]).source
+    assert source.replacement(("a", "b")) == outer.place
 
 
 @pytest.mark.parametrize(
@@ -150,6 +188,8 @@ def test_a_wrong_sweep_is_refused(texts: list[str], codes: list[Code]) -> None:
         1e-7,
         [1, [2.5, "x"]],
         {"a": {"b": [False]}},
+        {"a: b": 1, "": 2, "null": 3, "#": 4},
+        "\x07\x7f\u2028\ufeff\U000e0001😀",
     ],
 )
 def test_the_text_of_a_value_is_read_as_that_value(value: Any) -> None:
