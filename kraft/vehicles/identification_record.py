@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
+import numpy as np
 from pydantic import AfterValidator, Field, StringConstraints, model_validator
+from pydantic_core import PydanticCustomError
 
-from kraft.config.schema import NonNegative, Number, Positive, StrictModel, refuse
+from kraft.config.schema import NonNegative, Number, Positive, StrictModel, is_number, refuse
 from kraft.errors import Code
 
+ROUNDING: Final = 1e-3
+"""Largest difference between the two entries of a covariance for the same parameters, as a share of them."""
 Digest = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 
 
@@ -53,14 +57,33 @@ class Covariance(StrictModel):
     matrix: tuple[tuple[Number, ...], ...]
     """covariance, in the units of the parameters"""
 
-    @model_validator(mode="after")
-    def _square(self) -> Self:
-        size = len(self.names)
-        if len(self.matrix) != size or any(len(row) != size for row in self.matrix):
-            raise refuse(
-                "has another size than names", f"expected {size} rows of {size} numbers", ("matrix",), Code.MISMATCH
-            )
-        return self
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Check that the names differ and that the matrix is a covariance of them."""
+        names, matrix = _items(content.get("names")), _items(content.get("matrix"))
+        if names is None or matrix is None:
+            return
+        for k, name in enumerate(names):
+            if name in names[:k]:
+                yield refuse(f"repeats names[{names.index(name)}]", "expected each once", ("names", k), Code.DUPLICATE)
+        rows = [row for row in map(_items, matrix) if row is not None and all(map(is_number, row))]
+        if len(rows) != len(matrix):
+            return
+        size = len(names)
+        if len(rows) != size or any(len(row) != size for row in rows):
+            expected = f"expected {size} rows of {size} numbers"
+            yield refuse("has another size than names", expected, ("matrix",), Code.MISMATCH)
+            return
+        values = np.array(rows, dtype=np.float64).reshape(size, size)
+        for i in np.flatnonzero(np.diag(values) < 0.0).tolist():
+            yield refuse(f"is the variance {values[i, i]:g}", "expected at least 0", ("matrix", i, i))
+        for i, j in np.argwhere(np.tril(~np.isclose(values, values.T, rtol=ROUNDING, atol=0.0))).tolist():
+            expected = f"expected that of row {j}, column {i}: {values[j, i]:g}"
+            yield refuse(f"is {values[i, j]:g}, not symmetric", expected, ("matrix", i, j), Code.MISMATCH)
+
+
+def _items(value: object) -> Sequence[object] | None:
+    return value if isinstance(value, list | tuple) else None
 
 
 class CommandScale(StrictModel):

@@ -55,6 +55,37 @@ def test_a_delay_that_no_estimate_could_have_is_refused(tmp_path: Path, delay: s
     assert len(problems_of(tmp_path, CAR + f"delay: {delay}\n")) == 1
 
 
+RECORD = """identification:
+  started_from: car
+  interval: graph
+  covariance: {names: [L, tau], matrix: [[1, 0.5], [0.5, 2]]}
+  noise: {position: 0.01, yaw: 0.01, measured: true}
+  fitted: {position: [0.1], yaw: [0.1], overall_position: 0.1, overall_yaw: 0.1}
+  logs: []
+  versions: {}
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("0.5, 2", "0.5, 2", []),
+        ("[L, tau]", "[L, L]", ["10:27 identification.covariance.names[1] duplicate"]),
+        ("[[1, 0.5]", "[[1, 0.4]", ["10:53 identification.covariance.matrix[1][0] mismatch"]),
+        ("[[1, 0.5], [0.5, 2]]", "[[1, 0.5]]", ["10:41 identification.covariance.matrix mismatch"]),
+        ("[[1, 0.5], [0.5, 2]]", "[[1], [0.5, 2]]", ["10:41 identification.covariance.matrix mismatch"]),
+        ("[[1, 0.5], [0.5, 2]]", "[[-1, 5], [7, -1]]", [
+            "10:43 identification.covariance.matrix[0][0] value",
+            "10:52 identification.covariance.matrix[1][0] mismatch",
+            "10:55 identification.covariance.matrix[1][1] value",
+        ]),
+        ("[[1, 0.5], [0.5, 2]]", "[[1, x], [0.5, 2]]", ["10:46 identification.covariance.matrix[0][1] type"]),
+    ],
+)  # fmt: skip
+def test_a_covariance_that_none_could_be_is_refused(old: str, new: str, expected: list[str], tmp_path: Path) -> None:
+    assert problems_of(tmp_path, CAR + RECORD.replace(old, new)) == expected
+
+
 def problems_of(folder: Path, text: str) -> list[str]:
     path = folder / "car.yaml"
     path.write_text(text)
