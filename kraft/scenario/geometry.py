@@ -214,11 +214,14 @@ class MapServerFile(StrictModel):
 
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
-        """Check the order of the thresholds."""
+        """Check the order of the thresholds, and that programs agree about the meaning of the image."""
         free, occupied = (content.get(key, cls.model_fields[key].default) for key in ("free_thresh", "occupied_thresh"))
         if is_number(free) and is_number(occupied) and free >= occupied:
             problem = f"is {free:g}, not below occupied_thresh"
             yield refuse(problem, f"expected less than {occupied:g}", ("free_thresh",), Code.CONFLICT)
+        if content.get("mode") == "raw" and content.get("negate") in (1, True):  # map_server of ROS 1 and 2 differ
+            problem = "is 1, which some programs apply in mode raw and others do not"
+            yield refuse(problem, "expected 0, or another mode", ("negate",), Code.CONFLICT)
 
 
 def read_map(path: Path, *, height: float, name: str | None) -> OccupancyMap:
@@ -257,6 +260,8 @@ def _read_image(path: Path, source: Source) -> tuple[NDArray[np.float64], NDArra
                 if needed > available:
                     problem = f"the image {path} needs {in_words(needed)} of memory"
                     raise wrong(problem, f"expected at most {in_words(available)}, which are available")
+                if image.mode == "F":  # Pillow reads PFM, whose brightness has no range, as a kind of PPM too
+                    raise UnidentifiedImageError
                 image.load()
                 return _brightness(image)
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
@@ -270,8 +275,8 @@ def _read_image(path: Path, source: Source) -> tuple[NDArray[np.float64], NDArra
 
 def _brightness(image: Image.Image) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     if image.mode in ("I", "I;16", "I;16B", "I;16L"):
-        pixels = np.asarray(image, dtype=np.float64) / 65535.0
-        return pixels, np.ones(pixels.shape, dtype=np.bool_)
+        pixels = np.asarray(image, dtype=np.float64)
+        return pixels / 65535.0, pixels != image.info.get("transparency", -1)
     if image.mode == "L" and "transparency" not in image.info:
         return np.asarray(image) / 255.0, np.ones((image.height, image.width), dtype=np.bool_)
     rgba = np.asarray(image.convert("RGBA"))

@@ -61,6 +61,12 @@ def test_transparent_cells_are_occupied(tmp_path: Path) -> None:
     assert written(tmp_path, b"", YAML.replace("m.pgm", "m.png")).occupied.tolist() == [[False, True]]
 
 
+def test_a_transparent_colour_of_sixteen_bits_is_occupied(tmp_path: Path) -> None:
+    pixels = np.array([[65535, 60000, 0]], dtype=np.uint16)
+    Image.fromarray(pixels).save(tmp_path / "m.png", transparency=60000)
+    assert written(tmp_path, b"", YAML.replace("m.pgm", "m.png")).occupied.tolist() == [[False, True, True]]
+
+
 def test_negate_swaps_black_and_white(tmp_path: Path) -> None:
     for flag in ("1", "true"):
         grid = written(tmp_path, b"P5 2 1 255\n" + bytes([0, 255]), YAML.replace("negate: 0", f"negate: {flag}"))
@@ -88,6 +94,7 @@ def test_sixteen_bit_images_are_read(tmp_path: Path) -> None:
         (b"P5 9000 9000 255\n", "value"),
         (b"\x89PNG\r\n\x1a\n1234", "syntax"),
         (b"GIF89a", "syntax"),
+        (b"Pf\n2 1\n-1.0\n" + bytes(8), "syntax"),
         (b"", "syntax"),
     ],
 )
@@ -105,6 +112,7 @@ def test_a_broken_image_is_reported_at_the_line_that_names_it(image: bytes, expe
         ("negate: 0", "negate: 2", "4:9 negate value"),
         ("free_thresh: 0.196", "free_thresh: 0.7", "6:14 free_thresh conflict"),
         ("negate: 0", "mode: trinry", "4:7 mode value"),
+        ("negate: 0", "mode: raw\nnegate: 1", "5:9 negate conflict"),
     ],
 )  # fmt: skip
 def test_a_wrong_map_file_is_explained(old: str, new: str, expected: str, tmp_path: Path) -> None:
