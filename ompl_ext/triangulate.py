@@ -23,7 +23,7 @@ def triangles(vertices: Matrix) -> list[Matrix]:
     """
     points = np.asarray(vertices, dtype=float)
     points = points[np.any(points != np.roll(points, -1, axis=0), axis=1)]  # drop repeated vertices
-    x, y = points[:, 0], points[:, 1]
+    x, y = (points - points[0]).T  # far from the origin the products would lose digits
     area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
     if area == 0.0:
         raise ValueError("a polygon needs an area")

@@ -77,6 +77,9 @@ LENGTH_MIN: Final = 0.001
 LENGTH_MAX: Final = 10_000.0
 """Metres. A larger workspace is a typing mistake, and grids over it would not fit into memory."""
 
+MASS_MIN: Final = 0.001
+"""Kilograms. Nothing lighter resists a push, and MuJoCo refuses moments of inertia below 1e-15 kg m^2."""
+
 _USUAL: Final = frozenset({"name", "description"})
 """Keys of files of most kinds."""
 KEYS_OF_ANOTHER_KIND: Final = 3
@@ -88,6 +91,7 @@ Name: TypeAlias = Annotated[str, StringConstraints(pattern=NAME)]
 Coordinate: TypeAlias = Annotated[float, Field(ge=-LENGTH_MAX, le=LENGTH_MAX)]
 Length: TypeAlias = Annotated[float, Field(ge=LENGTH_MIN, le=LENGTH_MAX)]
 Angle: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6)]
+Mass: TypeAlias = Annotated[float, Field(ge=MASS_MIN, le=1e6)]
 Positive: TypeAlias = Annotated[float, Field(gt=0, le=1e6)]
 NonNegative: TypeAlias = Annotated[float, Field(ge=0, le=1e6)]
 Probability: TypeAlias = Annotated[float, Field(ge=0, le=1)]
@@ -301,7 +305,9 @@ def describe(value: object) -> str:
         return f"the number {value:.12g}" if isinstance(value, float) else f"the number {value}"
     if isinstance(value, str):
         return f"the text {value if len(value) <= 40 else value[:37] + '...'!r}"
-    return "a mapping" if isinstance(value, Mapping) else "a list"
+    if isinstance(value, Mapping):
+        return "a mapping"
+    return "a list" if isinstance(value, list | tuple) else f"a value of type {type(value).__name__}"
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from kraft.planning.workspace import (
     workspace_of,
 )
 from kraft.scenario import OccupancyMap, Task
+from kraft.scenario.planning import INTEGRATION_STEP
 from kraft.text import suggestion
 from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
@@ -67,7 +68,8 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
 
     Raises:
         InputError: if the footprint at the start, or the goal's centre, is inside an obstacle or out of bounds, if the
-            goal bounds what the vehicle does not have or cannot reach, or if the maps do not fit into memory.
+            goal bounds what the vehicle does not have or cannot reach, if the integration step is too short, or if the
+            maps do not fit into memory.
     """
     check_memory_of_maps(task, vehicle)
     x, y = float(state[vehicle.index("x")]), float(state[vehicle.index("y")])
@@ -80,10 +82,7 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
             problems.append(task.source.diagnostic("start", problem, expected, code=Code.GEOMETRY))
         else:
             problems.append(Diagnostic(origin, problem, expected, code=Code.GEOMETRY))
-    if origin is None and abs(task.start.speed) > vehicle.top_speed:
-        problem = f"is {task.start.speed:g} m/s, faster than {vehicle.name} can be"
-        expected = f"expected at most {vehicle.top_speed:g} m/s"
-        problems.append(task.source.diagnostic("start.speed", problem, expected))
+    problems += _speed_problems(task, vehicle) if origin is None else []
     if hit := _first_hit(task, vehicle, POINT, (*task.goal.center, 0.0)):
         problem = f"the goal's centre {hit}"
         expected = "expected a free place"
@@ -92,9 +91,33 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
         problem = f"{vehicle.name} has no heading: its state has no component theta"
         expected = "expected a goal without a heading, or a vehicle that turns"
         problems.append(task.source.diagnostic("goal.heading_deg", problem, expected, code=Code.MISMATCH))
-    problems += _goal_limit_problems(task, vehicle)
+    problems += _goal_limit_problems(task, vehicle) + _step_problems(task, vehicle)
     if problems:
         raise InputError(problems)
+
+
+def _speed_problems(task: Task, vehicle: Vehicle) -> list[Diagnostic]:
+    """A speed at the start that the vehicle does not have."""
+    speed = task.start.speed
+    if abs(speed) > vehicle.top_speed:
+        problem, expected = f"is {speed:g} m/s, faster than {vehicle.name} can be", f"at most {vehicle.top_speed:g} m/s"
+        return [task.source.diagnostic("start.speed", problem, f"expected {expected}")]
+    if speed != 0.0 and not vehicle.rest:
+        problem = f"is {speed:g} m/s, and {vehicle.name} names no speed in its rest components"
+        expected = "expected no speed, or another vehicle"
+        return [task.source.diagnostic("start.speed", problem, expected, code=Code.MISMATCH)]
+    return []
+
+
+def _step_problems(task: Task, vehicle: Vehicle) -> list[Diagnostic]:
+    """A step that is too short for the edges of the vehicle.  Their durations are computed only for a shorter step."""
+    if task.planning.integration_step >= INTEGRATION_STEP:
+        return []
+    try:
+        settings_of(task, vehicle)
+    except InputError as error:
+        return list(error.diagnostics)
+    return []
 
 
 def _goal_limit_problems(task: Task, vehicle: Vehicle) -> list[Diagnostic]:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.scenario import Bounds, Box, Circle, Obstacle, OccupancyMap, Polygon, Task
+from kraft.scenario.planning import STEPS_MAX
 from kraft.vehicles.load import load_vehicle
 from ompl_ext import obstacles as planar
 from ompl_ext.arrays import Floats
@@ -71,9 +72,18 @@ def safety_of_task(task: Task) -> Safety:
 
 
 def settings_of(task: Task, vehicle: Vehicle) -> Settings:
-    """Settings of the planner; those that a scenario does not have keep their defaults."""
+    """Settings of the planner; those that a scenario does not have keep their defaults.
+
+    Raises:
+        InputError: if the integration step is too short for the edges of the vehicle.
+    """
     planning = task.planning
     shortest, longest = planning.edge_duration or edge_durations(vehicle)
+    if planning.steps_of(longest) > STEPS_MAX:  # the schema checks durations that the scenario states
+        problem = f"is {planning.integration_step:g}, and the longest edge of {vehicle.name} takes {longest:.3g} s"
+        expected = f"expected a step with which it takes at most {STEPS_MAX} steps"
+        key = "planning.integration_step"
+        raise InputError([task.source.diagnostic(key, problem, expected, code=Code.CONFLICT)])
     planner = "sst" if planning.planner == "sst" else "dirt"
     return Settings(
         planner=planner,

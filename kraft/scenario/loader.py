@@ -21,6 +21,7 @@ from kraft.scenario.geometry import Box, Circle, Obstacle, OccupancyMap, Polygon
 from kraft.scenario.scenario import Goal, Scenario, Start
 from kraft.scenario.schema import (
     CAMERA_HEIGHT,
+    MARKER_HEIGHT,
     Bounds,
     GoalFile,
     MapFile,
@@ -65,7 +66,7 @@ def scenario_from(document: Document, folder: Path) -> Scenario:
         InputError: with every problem of the document and of the maps it names.
     """
     content, problems = check(ScenarioFile, document)
-    problems += _outside_bounds(document)
+    problems += _outside_bounds(document) + _low_camera(document)
     vehicle, vehicle_problems = _vehicle(document, folder)
     maps, map_problems = _maps(document, folder)
     problems += vehicle_problems + map_problems
@@ -121,6 +122,15 @@ def _outside_bounds(document: Document) -> list[Diagnostic]:
                 document.source.diagnostic(at, problem, f"expected {axis} in [{low:g}, {high:g}]", code=Code.GEOMETRY)
             )
     return found
+
+
+def _low_camera(document: Document) -> list[Diagnostic]:
+    """A camera that does not look down at the marker, if the section is valid itself."""
+    sensing = part(Sensing, _at(document.data, ("sensing",), {}))
+    if sensing is None or sensing.camera[2] > MARKER_HEIGHT:
+        return []
+    problem, expected = f"is {sensing.camera[2]:g} m high", f"expected more than the marker's {MARKER_HEIGHT:g} m"
+    return [document.source.diagnostic(("sensing", "camera", 2), problem, expected, code=Code.GEOMETRY)]
 
 
 def _vehicle(document: Document, folder: Path) -> tuple[str, list[Diagnostic]]:

@@ -22,7 +22,8 @@ PLANNERS: Final[dict[str, str]] = {
 }
 
 
-STEPS_MAX: Final = 100_000  # of an edge, as many as the planner has memory for (`ompl_ext.query.MOST_STEPS`)
+STEPS_MAX: Final = 100_000  # of an edge, as many as the planner has memory for (`ompl_ext.query.MAX_STEPS`)
+ROUNDING: Final = 1e-9  # of the quotient of a duration and a step
 DEFAULT_ITERATIONS: Final = 20_000
 EDGE_DURATION: Final = (0.5, 1.0)
 INTEGRATION_STEP: Final = 0.1
@@ -90,7 +91,7 @@ class Planning(StrictModel):
         if is_number(step) and step > shortest:
             problem = f"is {step:g}, longer than the shortest edge"
             yield refuse(problem, f"expected at most {shortest:g}", ("integration_step",), Code.CONFLICT)
-        elif is_number(step) and step > 0.0 and _steps_of(longest, step) > STEPS_MAX:
+        elif is_number(step) and step > 0.0 and longest / step - ROUNDING > STEPS_MAX:
             expected = f"expected a step with which the longest edge takes at most {STEPS_MAX} steps"
             yield refuse(f"is {step:g}", expected, ("integration_step",), Code.CONFLICT)
 
@@ -117,4 +118,4 @@ class Planning(StrictModel):
 
 def _steps_of(duration: float, step: float) -> int:
     """Integration steps of an edge, of at most `step` s."""
-    return max(10, math.ceil(duration / step - 1e-9))
+    return max(10, math.ceil(duration / step - ROUNDING))

@@ -24,7 +24,7 @@ from kraft.config.schema import (
     refuse,
 )
 from kraft.errors import Code
-from kraft.scenario.geometry import crossing_edges
+from kraft.scenario.geometry import crossing_edges, signed_area
 from kraft.scenario.planning import Planning
 from kraft.scenario.truth import Truth, misordered
 
@@ -33,6 +33,8 @@ Timeout = Annotated[float, Field(gt=0, le=86_400)]
 
 CAMERA_HEIGHT: Final = 5.0
 """Height of the camera above the floor, where a scenario does not state its place, m."""
+MARKER_HEIGHT: Final = 0.2
+"""Height of the marker above the floor while the robot stands, m."""
 
 
 class Sensing(StrictModel):
@@ -100,6 +102,8 @@ class Trial(StrictModel):
 
 
 VERTICES_MAX = 1000
+THINNEST: Final = 1e-3 * LENGTH_MIN
+"""Smallest area of a polygon over its longest edge, m: far from the origin, rounding gives vertices on a line one."""
 Component = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
@@ -162,6 +166,10 @@ def _simple(vertices: tuple[Point, ...]) -> tuple[Point, ...]:
     if crossing := crossing_edges(array):
         problem = f"the polygon intersects itself: edge {crossing[0]} and edge {crossing[1]}"
         raise refuse(problem, "expected a simple polygon (edge i runs from vertex i to the next)", code=Code.GEOMETRY)
+    if abs(signed_area(array)) < THINNEST * edges.max():
+        raise refuse(
+            "the polygon has hardly any area", "expected vertices that are not on one line", code=Code.GEOMETRY
+        )
     return vertices
 
 

@@ -14,13 +14,14 @@ from typing import Annotated, NamedTuple, Self
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from kraft.config.schema import LENGTH_MIN, Angle, Length, Point, Positive, Size, Span, StrictModel, refuse
+from kraft.config.schema import LENGTH_MIN, Angle, Length, Mass, Point, Size, Span, StrictModel, refuse
 from kraft.config.source import KeyPath
 from kraft.errors import Code
 from kraft.vehicles.true_robot import Robot
 
 Friction = Annotated[float, Field(gt=0, le=10)]
 Factor = Annotated[float, Field(gt=0, le=10)]
+MassFactor = Annotated[float, Field(ge=0.001, le=10)]
 SteeringOffset = Annotated[float, Field(ge=-20, le=20)]
 
 
@@ -60,7 +61,7 @@ class MovableBox(StrictModel):
     """[x, y] of the centre, m"""
     size: tuple[Length, Length, Length]
     """[length, width, height], m"""
-    mass: Positive
+    mass: Mass
     """mass, kg"""
     yaw_deg: Angle = 0.0
     """rotation, degrees"""
@@ -113,7 +114,7 @@ class VehicleGap(StrictModel):
     """factor on the steering angle"""
     steering_offset_deg: SteeringOffset = 0.0
     """steering angle when it is commanded straight, degrees"""
-    mass_scale: Factor = 1.0
+    mass_scale: MassFactor = 1.0
     """factor on the chassis mass"""
 
     @property
@@ -131,7 +132,7 @@ class VehicleChange(StrictModel):
     """factor on the steering angle"""
     steering_offset_deg: SteeringOffset | None = None
     """steering angle when it is commanded straight, degrees"""
-    mass_scale: Factor | None = None
+    mass_scale: MassFactor | None = None
     """factor on the chassis mass"""
 
 

@@ -12,6 +12,7 @@ from kraft.scenario import Scenario
 from kraft.vehicles import is_car
 from kraft.vehicles.load import MUSHR_SIZE, load_vehicle, natural_robot
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
+from kraft.vehicles.true_robot import CarDimensions
 from ompl_ext.vehicle import Vehicle
 
 ALIKE: Final = 1.25
@@ -76,11 +77,16 @@ def check_robot(scenario: Scenario, vehicle: Vehicle) -> None:
     Raises:
         InputError: at the line that states the robot, if not.
     """
-    kind = scenario.truth.kind or natural_robot(vehicle)[0].kind
-    if kind != "car" or not is_car(vehicle) or scenario.truth.car is not None:  # a bundled car always can
+    if not _is_a_bundled_car(scenario, vehicle) or scenario.truth.movable_boxes:
         from kraft.simulation.true_world import check_world  # loads the simulator
 
         check_world(scenario, vehicle)
+
+
+def _is_a_bundled_car(scenario: Scenario, vehicle: Vehicle) -> bool:
+    """Whether a car drives that has no dimensions of its own: it can be simulated wherever no box is in its way."""
+    car = natural_robot(vehicle)[0].car if scenario.truth.kind is None else None
+    return car is not None and car == CarDimensions(preset=car.preset) and is_car(vehicle)
 
 
 def check_own_robot(vehicle: Vehicle) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from kraft.config.schema import Length, NonNegative, ParameterValue, Positive, StrictModel, Symbol, refuse
+from kraft.config.schema import Length, Mass, NonNegative, ParameterValue, StrictModel, Symbol, refuse
 from kraft.config.source import KeyPath, Source
 from kraft.errors import Code, Diagnostic
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
@@ -25,7 +25,7 @@ class Wheels(StrictModel):
     """m"""
     width: Length | None = None
     """m"""
-    mass: Positive | None = None
+    mass: Annotated[float, Field(ge=1e-4, le=1e6)] | None = None
     """of each, kg"""
 
 
@@ -69,7 +69,7 @@ class CarDimensions(StrictModel):
     """distance between the axles, m"""
     track: Length | None = None
     """distance between the left and the right wheels, m"""
-    mass: Positive | None = None
+    mass: Mass | None = None
     """of the chassis without wheels, kg"""
     wheels: Wheels = Wheels()
     """{radius, width, mass}"""

@@ -324,6 +324,14 @@ def covered_alike(vertices: np.ndarray, seed: int) -> None:
     assert np.array_equal(sum(inside(piece, points).astype(int) for piece in pieces), inside(vertices, points))
 
 
+def test_a_small_polygon_has_its_area_wherever_it_is() -> None:
+    """The products of these corners differ by less than their rounding error."""
+    side = 2.0**-14
+    square = np.array([[0.0, 0.0], [side, 0.0], [side, side], [0.0, side]])
+    (piece,) = triangles(square[::-1] + 8192.0)
+    assert area(piece - 8192.0) == side**2
+
+
 @pytest.mark.parametrize("corners", CORNERS.values(), ids=CORNERS)
 @pytest.mark.parametrize("turn", [1, -1])
 def test_an_ear_that_only_rounding_makes_one_is_not_cut_off(corners: list[list[float]], turn: int) -> None:

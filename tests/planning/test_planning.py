@@ -17,7 +17,7 @@ from kraft.planning.feasibility import check_placement, memory_needed
 from kraft.planning.plan import PlanResult, finds_plan, plan_task
 from kraft.planning.search import Budget, Previous
 from kraft.planning.stated_speed import faster_than_stated
-from kraft.planning.workspace import fence, start_state, workspace_of
+from kraft.planning.workspace import fence, settings_of, start_state, workspace_of
 from kraft.scenario import Task, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.exact import ExactClearance
@@ -192,6 +192,26 @@ def test_a_heading_at_the_goal_is_refused_for_a_vehicle_that_does_not_turn(mushr
     task = room(("radius: 0.3", "radius: 0.3, heading_deg: 90, heading_tolerance_deg: 5"))
     (problem,) = raised(lambda: check_placement(task, sliding, start_state(task, sliding)))
     assert located([problem]) == ["7:50 goal.heading_deg mismatch"]
+
+
+def test_a_speed_at_the_start_is_refused_for_a_vehicle_without_a_speed(mushr: Vehicle) -> None:
+    drawn = dataclasses.replace(mushr, rest=())
+    task = room(("heading_deg: 0}", "heading_deg: 0, speed: 0.1}"))
+    (problem,) = raised(lambda: check_placement(task, drawn, start_state(task, drawn)))
+    assert located([problem]) == ["6:48 start.speed mismatch"]
+    assert raised(lambda: check_placement(room(), drawn, start_state(room(), drawn))) == ()
+
+
+def test_a_step_that_is_too_short_for_the_edges_of_a_slow_vehicle_is_refused_at_its_line(mushr: Vehicle) -> None:
+    task = parse_scenario(SCENE + "planning: {integration_step: 1.0e-5}\n", "room.yaml").task()
+    slow = load_vehicle("unicycle2", parameters={"a_max": 0.1})
+    for check in (
+        lambda: check_placement(task, slow, start_state(task, slow)),
+        lambda: plan_task(task, slow, FEW),
+        lambda: settings_of(task, slow),
+    ):
+        assert located(raised(check)) == ["8:30 planning.integration_step conflict"]
+    assert raised(lambda: check_placement(task, mushr, start_state(task, mushr))) == ()
 
 
 def test_a_top_speed_that_the_model_exceeds_is_named_with_the_speed_it_reaches(mushr: Vehicle) -> None:

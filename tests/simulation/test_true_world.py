@@ -179,6 +179,29 @@ def test_a_car_that_would_turn_about_a_point_between_its_wheels_is_refused(car: 
         assert (problem.code, problem.path) == (Code.GEOMETRY, "truth.car")
 
 
+def test_a_car_that_cannot_turn_is_refused_also_where_its_vehicle_states_it(tmp_path: Path) -> None:
+    text = (ROOT / "configs" / "vehicles" / "f1tenth.yaml").read_text(encoding="utf-8")
+    assert "{preset: f1tenth}" in text
+    sharp = text.replace("{preset: f1tenth}", "{servo: {angle_max_deg: 60, linkage: 2}}")
+    (tmp_path / "car.yaml").write_text(sharp, encoding="utf-8")
+    (problem,) = raised(lambda: check_robot(hall(), load_vehicle(str(tmp_path / "car.yaml"))))
+    assert (problem.code, problem.path) == (Code.GEOMETRY, "truth.car")
+    assert problem.file == str(tmp_path / "car.yaml")
+
+
+def test_a_box_where_a_bundled_car_starts_is_refused_before_the_drive() -> None:
+    scene = hall("movable_boxes: [{center: [1, 2], size: [0.2, 0.2, 0.2], mass: 1}]")
+    (problem,) = raised(lambda: check_robot(scene, vehicle("mushr-drive")))
+    assert (problem.code, problem.path) == (Code.GEOMETRY, "truth.movable_boxes[0]")
+
+
+def test_the_lightest_car_and_box_that_may_be_stated_are_simulated() -> None:
+    light = "mass: 0.001, width: 0.001, wheels: {mass: 0.0001, radius: 0.001, width: 0.001}"
+    boxes = "movable_boxes: [{center: [5, 2], size: [0.001, 0.001, 0.001], mass: 0.001}]"
+    scene = hall(f"car: {{{light}}}, vehicle: {{mass_scale: 0.001}}, {boxes}")
+    assert raised(lambda: check_world(scene, vehicle("mushr-drive"))) == ()
+
+
 def test_a_car_has_the_dimensions_that_are_given_and_those_of_its_preset() -> None:
     assert design_of(CarDimensions()) == MUSHR
     assert design_of(CarDimensions(preset="f1tenth")) == F1TENTH
