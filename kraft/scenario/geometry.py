@@ -177,6 +177,8 @@ CELLS_MAX: Final = 80_000_000
 BYTES_PER_PIXEL: Final = 24  # while an image is read
 
 _FORMATS: Final = ("PPM", "PNG")  # Pillow reads PGM as a kind of PPM
+_LEVELS: Final = {"L;2": 85, "L;4": 17}
+"""Brightness out of 255 of the first grey above black in a PNG of two or four bits, by Pillow's name for its pixels."""
 _BROKEN: Final = (
     OSError,
     SyntaxError,
@@ -262,6 +264,9 @@ def _read_image(path: Path, source: Source) -> tuple[NDArray[np.float64], NDArra
                     raise wrong(problem, f"expected at most {in_words(available)}, which are available")
                 if image.mode == "F":  # Pillow reads PFM, whose brightness has no range, as a kind of PPM too
                     raise UnidentifiedImageError
+                levels = _LEVELS.get(str(image.tile[0][3]), 1) if image.tile else 1
+                if isinstance(colour := image.info.get("transparency"), int):
+                    image.info["transparency"] = levels * colour  # Pillow scales the pixels alone
                 image.load()
                 return _brightness(image)
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:

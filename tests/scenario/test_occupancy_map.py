@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import math
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +67,20 @@ def test_a_transparent_colour_of_sixteen_bits_is_occupied(tmp_path: Path) -> Non
     pixels = np.array([[65535, 60000, 0]], dtype=np.uint16)
     Image.fromarray(pixels).save(tmp_path / "m.png", transparency=60000)
     assert written(tmp_path, b"", YAML.replace("m.pgm", "m.png")).occupied.tolist() == [[False, True, True]]
+
+
+@pytest.mark.parametrize("bits", [1, 2, 4, 8])
+def test_a_transparent_grey_is_occupied_whatever_bits_it_has(bits: int, tmp_path: Path) -> None:
+    white = 2**bits - 1
+    row = np.array([white, 0, white, white]) if bits == 1 else np.array([white, white - 1, white, white])
+    pixels = b"\0" + np.packbits(np.unpackbits(row.astype(np.uint8)[:, None], axis=1)[:, -bits:]).tobytes()
+    chunks = {b"IHDR": struct.pack(">IIBBBBB", 4, 1, bits, 0, 0, 0, 0), b"tRNS": struct.pack(">H", white)}
+    chunks |= {b"IDAT": zlib.compress(pixels), b"IEND": b""}
+    packed = (struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+              for kind, data in chunks.items())  # fmt: skip
+    generous = YAML.replace("m.pgm", "m.png").replace("free_thresh: 0.196", "free_thresh: 0.6")
+    grid = written(tmp_path, b"\x89PNG\r\n\x1a\n" + b"".join(packed), generous, "m.png")
+    assert grid.occupied.tolist() == [[True, bits == 1, True, True]]
 
 
 def test_negate_swaps_black_and_white(tmp_path: Path) -> None:
