@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -69,33 +69,38 @@ class TrackedContingency:
         return self.is_verified, -self.impact_speed, self.rounded_slack, -float(self.predicted.times[-1])
 
 
+class Begin(NamedTuple):
+    """Where contingencies begin: in `state` (nx,) at `time` s; the clearance grows from `cycle_start` s on."""
+
+    state: Floats
+    time: float
+    cycle_start: float
+
+
 class ContingencyRanking:
     """Ranks contingencies by the least slack of their tracked motion."""
 
     def __init__(self, dirt: DirtSolver, predict: ClosedLoopPredictor, model: VehicleModel) -> None:
         """`dirt` has the obstacles and the clearance, `predict` the controller, `model` the vehicle."""
         self._dirt, self._predict, self._model = dirt, predict, model
-        self._cycle_start = 0.0
 
-    def best(
-        self, state: Floats, time: float, in_hand: Reference | None, plans: Sequence[Reference], cycle_start: float
-    ) -> TrackedContingency:
-        """Best contingency from `state` (nx,) at `time` s; an emergency if none keeps the clearance.
+    def best(self, begin: Begin, in_hand: Reference | None, plans: Sequence[Reference]) -> TrackedContingency:
+        """Best contingency from `begin`; an emergency if none keeps the clearance.
 
-        Candidates are all manoeuvres, the contingency `in_hand`, and those that follow one of the `plans` first.  The
-        clearance grows from `cycle_start` s on.
+        Candidates are all manoeuvres, the contingency `in_hand`, and those that follow one of the `plans` first.
         """
-        self._cycle_start = cycle_start
-        bound = self._rounded_slack(np.asarray(state)[None, :], np.array([time]))  # all candidates begin here
+        bound = self._rounded_slack(
+            begin, np.asarray(begin.state)[None, :], np.array([begin.time])
+        )  # of all candidates
         found: TrackedContingency | None = None
-        for candidates in (self._immediate(state, time, in_hand), self._along(state, time, plans)):
+        for candidates in (self._immediate(begin, in_hand), self._along(begin, plans)):
             if found is None or found.rounded_slack < bound:
-                found = self._better(found, list(candidates), state, time, bound)
+                found = self._better(found, list(candidates), begin, bound)
         assert found is not None, "a vehicle has manoeuvres"
         return found if found.is_verified else replace(found, origin=ContingencyOrigin.EMERGENCY)
 
     def _better(
-        self, found: TrackedContingency | None, candidates: list[_Candidate], state: Floats, time: float, bound: int
+        self, found: TrackedContingency | None, candidates: list[_Candidate], begin: Begin, bound: int
     ) -> TrackedContingency | None:
         """Best of `found` and of the candidates; only those are tracked that can be better."""
         for count, candidate in enumerate(sorted(candidates, key=lambda each: (-each.rounded_slack, each.end))):
@@ -105,12 +110,12 @@ class ContingencyRanking:
                     break
             elif count >= 2 * PREDICTIONS:
                 break
-            tracked = self._track(state, time, candidate.reference(), candidate.origin)
+            tracked = self._track(begin, candidate.reference(), candidate.origin)
             found = tracked if found is None or tracked.rank > found.rank else found
         return found
 
-    def _track(self, state: Floats, time: float, reference: Reference, origin: ContingencyOrigin) -> TrackedContingency:
-        predicted = self._predict.until_rest(state, time, reference, self._cycle_start)
+    def _track(self, begin: Begin, reference: Reference, origin: ContingencyOrigin) -> TrackedContingency:
+        predicted = self._predict.until_rest(begin.state, begin.time, reference, begin.cycle_start)
         if predicted.slack >= 0.0:
             return TrackedContingency(reference, origin, predicted)
         states, vehicle = predicted.states, self._dirt.vehicle
@@ -120,26 +125,29 @@ class ContingencyRanking:
         before = states[max(int(hits[0]) - 1, 0)]  # it may stand where it touches
         return TrackedContingency(reference, origin, predicted, abs(float(before[vehicle.rest_indices[0]])))
 
-    def _rounded_slack(self, states: Matrix, times: Floats) -> int:
-        return _rounded(least_slack(self._dirt, states, times - self._cycle_start))
+    def _rounded_slack(self, begin: Begin, states: Matrix, times: Floats) -> int:
+        return _rounded(least_slack(self._dirt, states, times - begin.cycle_start))
 
     def _times(self, begin: float, states: Matrix) -> Floats:
         """Times (n,) of the states (n, nx) of a manoeuvre that begins at `begin` s."""
         times: Floats = begin + self._dirt.safety.step * np.arange(len(states), dtype=float)
         return times
 
-    def _immediate(self, state: Floats, time: float, in_hand: Reference | None) -> Iterator[_Candidate]:
+    def _immediate(self, begin: Begin, in_hand: Reference | None) -> Iterator[_Candidate]:
         """All manoeuvres, and the contingency in hand."""
+        state, time, _ = begin
         for number, states in enumerate(self._dirt.manoeuvres(state)):
             build, times = partial(self._manoeuvre, number, time, states), self._times(time, states)
-            yield _Candidate(self._rounded_slack(states, times), float(times[-1]), ContingencyOrigin.SAFE, build)
+            slack = self._rounded_slack(begin, states, times)
+            yield _Candidate(slack, float(times[-1]), ContingencyOrigin.SAFE, build)
         if in_hand is not None:
             left = in_hand.times >= min(time, in_hand.end)
-            slack = self._rounded_slack(in_hand.states[left], np.maximum(in_hand.times[left], time))
+            slack = self._rounded_slack(begin, in_hand.states[left], np.maximum(in_hand.times[left], time))
             yield _Candidate(slack, in_hand.end, ContingencyOrigin.IN_HAND, lambda: in_hand)
 
-    def _along(self, state: Floats, time: float, plans: Sequence[Reference]) -> Iterator[_Candidate]:
+    def _along(self, begin: Begin, plans: Sequence[Reference]) -> Iterator[_Candidate]:
         """Contingencies that follow a plan first; they do not move a vehicle that stands."""
+        state, time, _ = begin
         if self._dirt.safety.is_resting(self._dirt.vehicle, state):
             return
         for plan in plans:
@@ -147,12 +155,12 @@ class ContingencyRanking:
                 during, followed, _ = _part(plan, time, leaves)
                 for number, states in enumerate(self._dirt.manoeuvres(followed[-1])):
                     times = self._times(leaves, states)
-                    slack = self._rounded_slack(np.vstack([followed, states]), np.concatenate([during, times]))
+                    slack = self._rounded_slack(begin, np.vstack([followed, states]), np.concatenate([during, times]))
                     build = partial(self._after, plan, time, number, leaves, states)
                     yield _Candidate(slack, float(times[-1]), ContingencyOrigin.PLAN_THEN_STOP, build)
             creeping = self._creeping(state, time, plan)
             if creeping is not None:
-                slack = self._rounded_slack(creeping.states, creeping.times)
+                slack = self._rounded_slack(begin, creeping.states, creeping.times)
                 yield _Candidate(slack, creeping.end, ContingencyOrigin.CREEPING, partial(replace, creeping))
 
     def _manoeuvre(self, number: int, time: float, states: Matrix) -> Reference:

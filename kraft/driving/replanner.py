@@ -17,7 +17,7 @@ import numpy as np
 
 from kraft.driving.blockage import Blockage
 from kraft.driving.bound import BoundCalibration, DeviationBound
-from kraft.driving.contingencies import ContingencyRanking, TrackedContingency, emergency_reference
+from kraft.driving.contingencies import Begin, ContingencyRanking, TrackedContingency, emergency_reference
 from kraft.driving.control import Controller, set_map
 from kraft.driving.messages import (  # fmt: skip
     Commitment,
@@ -365,7 +365,7 @@ class Replanner:
         """Contingency from `state` (nx,) at the cycle's end, and its motion if predicted; None if none is safe."""
         time = cycle_start + self._settings.cycle
         if self._ranking is not None:
-            best = self._ranking.best(state, time, None, [plan], cycle_start)
+            best = self._ranking.best(Begin(state, time, cycle_start), None, [plan])
             return (best.reference, best.predicted) if best.is_verified else (None, None)
         safe = self.dirt.contingency(state, time)  # Alg. 2
         if safe is None:
@@ -422,7 +422,7 @@ class Replanner:
         plans = [current.reference] if current.reference.kind is ReferenceKind.PLAN else []
         if self._proposal.plan is not None:
             plans.append(plan_reference(self.dirt.vehicle, self._proposal.plan, time))
-        return ranking.best(root, time, stored, plans, time)
+        return ranking.best(Begin(root, time, time), stored, plans)
 
     def _is_near(self, root: Floats, expected: Floats) -> bool:
         """Whether no point of the vehicle is farther than 2 delta(v) from the state that a manoeuvre was verified for.

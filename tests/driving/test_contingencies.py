@@ -10,7 +10,7 @@ import pytest
 from support.replanner import FARSIGHTED, replanner, start
 
 from kraft.driving import contingencies
-from kraft.driving.contingencies import ContingencyRanking, TrackedContingency
+from kraft.driving.contingencies import Begin, ContingencyRanking, TrackedContingency
 from kraft.driving.control import Controller, KinodynamicController
 from kraft.driving.messages import Commitment, ContingencyOrigin, Estimate, Reference, ReferenceKind
 from kraft.driving.prediction import required_clearance
@@ -40,9 +40,9 @@ def ranking(found: Replanner) -> ContingencyRanking:
 def all_tracked(
     found: Replanner, state: Floats, in_hand: Reference | None, plans: list[Reference]
 ) -> list[TrackedContingency]:
-    each = ranking(found)
-    candidates = [*each._immediate(state, 2.0, in_hand), *each._along(state, 2.0, plans)]
-    return [each._track(state, 2.0, one.reference(), one.origin) for one in candidates]
+    each, begin = ranking(found), Begin(state, 2.0, 2.0)
+    candidates = [*each._immediate(begin, in_hand), *each._along(begin, plans)]
+    return [each._track(begin, one.reference(), one.origin) for one in candidates]
 
 
 def plan_from(found: Replanner, state: Floats) -> Reference | None:
@@ -58,7 +58,7 @@ def test_the_best_is_committed_whatever_its_origin(state: Floats, monkeypatch: p
     found = subject()
     plan = plan_from(found, state)
     plans = [] if plan is None else [plan]
-    best = ranking(found).best(state, 2.0, None, plans, 2.0)
+    best = ranking(found).best(Begin(state, 2.0, 2.0), None, plans)
     each = all_tracked(found, state, None, plans)
     assert len(each) >= 5
     assert best.is_verified == any(one.is_verified for one in each)
@@ -86,7 +86,7 @@ def test_the_compiled_closed_loop_is_that_of_the_controller_tick_by_tick(state: 
     assert plan is not None
     assert isinstance(predict.controller, KinodynamicController)
     slowly = replace(predict, controller=Uncompiled(predict.controller))
-    contingency = next(ranking(found)._immediate(state, 2.3, None)).reference()
+    contingency = next(ranking(found)._immediate(Begin(state, 2.3, 2.3), None)).reference()
     for switch in (2.0, 2.11, 2.4, 3.0):
         one, other = (each(state, 2.0, 2.4, Commitment(plan, switch, contingency)) for each in (predict, slowly))
         assert one.controls is not None
@@ -103,7 +103,7 @@ def test_the_compiled_closed_loop_is_that_of_the_controller_tick_by_tick(state: 
 def test_what_is_verified_keeps_the_clearance_until_standstill() -> None:
     found, verified = subject(), 0
     for state in STATES:
-        best = ranking(found).best(state, 2.0, None, [], 2.0)
+        best = ranking(found).best(Begin(state, 2.0, 2.0), None, [])
         if best.is_verified:
             verified += 1
             exact = found.dirt.exact.distances(best.predicted.states[:, :3])
@@ -116,7 +116,7 @@ def test_what_is_verified_keeps_the_clearance_until_standstill() -> None:
 def test_the_clearance_of_a_contingency_grows_from_the_beginning_of_the_cycle_on(begun: float) -> None:
     """What is verified keeps the grown clearance, and a growth that leaves no room refuses it, as SAFETY does."""
     found, state = subject(), STATES[0]
-    contingency = next(ranking(found)._immediate(state, 2.0, None)).reference()
+    contingency = next(ranking(found)._immediate(Begin(state, 2.0, 2.0), None)).reference()
     slacks = []
     for growth in (0.0, 0.05, 0.3, 0.6):
         found.dirt.set_bound(0.02, 0.0, growth, 1.5)
@@ -145,7 +145,7 @@ def test_a_plan_that_leads_past_an_obstacle_is_followed_before_the_vehicle_stops
             state = np.array([x, 0.4, heading, 0.7])
             plan = plan_from(found, state)
             if plan is not None:
-                best = ranking(found).best(state, 2.0, None, [plan], 2.0)
+                best = ranking(found).best(Begin(state, 2.0, 2.0), None, [plan])
                 origins.add(best.origin)
                 assert best.reference.stop is not None
                 assert best.reference.kind is ReferenceKind.CONTINGENCY
@@ -157,7 +157,7 @@ def test_following_a_plan_and_creeping_are_candidates_that_begin_where_the_vehic
     state = np.array([1.6, -0.3, 1.57, 0.5])
     plan = plan_from(found, state)
     assert plan is not None
-    candidates = list(ranking(found)._along(state, 2.0, [plan]))
+    candidates = list(ranking(found)._along(Begin(state, 2.0, 2.0), [plan]))
     assert {one.origin for one in candidates} == {ContingencyOrigin.PLAN_THEN_STOP, ContingencyOrigin.CREEPING}
     for one in candidates:
         reference = one.reference()
@@ -170,7 +170,7 @@ def test_following_a_plan_and_creeping_are_candidates_that_begin_where_the_vehic
         assert reference.stop is not None
         assert 2.0 < reference.stop.begin < reference.end
     standing = np.array([1.6, -0.3, 1.57, 0.0])
-    assert list(ranking(found)._along(standing, 2.0, [plan])) == []
+    assert list(ranking(found)._along(Begin(standing, 2.0, 2.0), [plan])) == []
 
 
 def test_the_contingency_in_hand_is_kept_where_nothing_else_is_safe() -> None:
@@ -181,14 +181,14 @@ def test_the_contingency_in_hand_is_kept_where_nothing_else_is_safe() -> None:
     in_hand = contingency_reference(found.dirt.vehicle, safe)
     each = {one.origin for one in all_tracked(found, state, in_hand, [])}
     assert ContingencyOrigin.IN_HAND in each
-    best = ranking(found).best(state, 2.0, in_hand, [], 2.0)
+    best = ranking(found).best(Begin(state, 2.0, 2.0), in_hand, [])
     assert best.rounded_slack >= max(one.rounded_slack for one in all_tracked(found, state, in_hand, [])) - 1
 
 
 def test_a_contingency_without_clearance_is_an_emergency() -> None:
     found = subject()
     into_the_wall = np.array([1.95, 1.0, 0.0, 0.7])
-    best = ranking(found).best(into_the_wall, 2.0, None, [], 2.0)
+    best = ranking(found).best(Begin(into_the_wall, 2.0, 2.0), None, [])
     assert (best.is_verified, best.origin) == (False, ContingencyOrigin.EMERGENCY)
     assert best.impact_speed == min(one.impact_speed for one in all_tracked(found, into_the_wall, None, []))
 

@@ -59,7 +59,7 @@ class LqrController:
         model, time, state = self._model, estimate.time, estimate.state
         if time >= reference.end - 1e-9 or len(reference.controls) == 0:  # one that stands is a single pose
             number = 0 if reference.stop is None else reference.stop.manoeuvre
-            return model.clamped(model.stop_control(state, number))
+            return model.stop_control(state, number)
         planned = reference.state_at(time)
         error: Floats = planned - state
         error[model.theta] = math.remainder(float(error[model.theta]), math.tau)

@@ -255,6 +255,6 @@ class DwaController:
         costs = self._rollouts.costs(estimate, reference, self._nominal, self._arcs, self._noise, len(self._nominal))
         best = int(costs.argmin())
         if costs[best] >= self._rollouts.collision:
-            return self._model.clamped(self._model.stop_control(estimate.state, 0))
+            return self._model.stop_control(estimate.state, 0)
         chosen: Floats = self._controls[best]
         return chosen
