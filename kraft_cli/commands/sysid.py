@@ -39,7 +39,9 @@ Freeze = Annotated[list[str] | None, typer.Option("--freeze", metavar="A,B", hel
 Parameters = Annotated[list[str] | None, typer.Option("--param", metavar="K=V", help="Initial value of a parameter.")]
 AuxiliarySelection = Annotated[
     str,
-    typer.Option(metavar="auto|plan|none|A,B", help="Auxiliary parameters: automatic selection, with --out those that planning models, or these."),
+    typer.Option(
+        metavar="auto|plan|none|A,B", help="Auxiliary parameters: automatic selection (with --out: `plan`), or these."
+    ),
 ]
 PoseNoise = Annotated[
     str | None,
