@@ -36,8 +36,18 @@ def _parts(function: Callable[..., Any], visited: set[int]) -> Iterator[str]:
     values = dict(zip(plain.__code__.co_freevars, (cell.cell_contents for cell in cells), strict=True))
     names = sorted(_names(plain.__code__))
     values.update((name, plain.__globals__[name]) for name in names if name in plain.__globals__)
+    values.update(_defaults(plain))
     for name, value in values.items():
         yield from _value(name, value, names, visited)
+
+
+def _defaults(plain: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
+    """Values of parameters that a call may leave out: the source has only their expressions."""
+    function: Any = plain
+    for k, value in enumerate(function.__defaults__ or ()):
+        yield f"default {k}", value
+    for name, value in (function.__kwdefaults__ or {}).items():
+        yield f"default {name}", value
 
 
 def _value(name: str, value: Any, names: list[str], visited: set[int]) -> Iterator[str]:
@@ -51,6 +61,14 @@ def _value(name: str, value: Any, names: list[str], visited: set[int]) -> Iterat
             yield from _parts(value, visited)
     elif isinstance(value, np.ndarray):
         yield f"{name} = {value.dtype} {value.shape} {value.tobytes().hex()}"
+    elif isinstance(value, tuple | list):  # the text of an array in it would have eight digits
+        yield f"{name}: {type(value).__name__} of {len(value)}"
+        for k, item in enumerate(value):
+            yield from _value(f"{name}[{k}]", item, names, visited)
+    elif isinstance(value, dict):
+        yield f"{name}: {type(value).__name__} of {len(value)}"
+        for key, item in value.items():
+            yield from _value(f"{name}[{key!r}]", item, names, visited)
     else:
         yield f"{name} = {value!r}"
 

@@ -46,6 +46,8 @@ class GrowingTree:
         """Empty the tree; memory allocated since is kept."""
         reset(self._memory, random)
         self.tree = first_nodes(self._memory, self._capacity)
+        if self._sparse is not None:
+            self._sparse.forget()
 
     def reserve(self, nodes: int) -> None:
         """Reserve memory for so many more nodes, as far as the limit allows."""
@@ -104,6 +106,10 @@ class _SparseTree:
         self._radii[[at.SST_SELECTION, at.SST_PRUNING]] = settings.selection_radius, settings.pruning_radius
         self._witnesses = new_tree(1, 1, 1, bounds)
         self._known = 0, 0, 0  # nodes, iterations and pruned nodes when the witnesses were up to date
+
+    def forget(self) -> None:
+        """Find the witnesses anew, as for another tree."""
+        self._known = 0, 0, 0
 
     def grow(self, tree: Tree, problem: Problem, work: Lanes, brake: Lanes, iterations: int) -> None:
         """Visit nodes; witnesses are found anew if nodes were added or removed since."""

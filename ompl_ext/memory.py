@@ -27,7 +27,7 @@ def available_memory() -> int:
     limits = [_free_of_machine()]
     limit, used = _number(GROUP / "memory.max"), _number(GROUP / "memory.current")
     if limit is not None and used is not None:
-        limits.append(limit - used)
+        limits.append(limit - used + _reclaimable(GROUP / "memory.stat"))
     most, _ = resource.getrlimit(resource.RLIMIT_AS)
     if most != resource.RLIM_INFINITY:
         limits.append(most - _address_space())
@@ -43,6 +43,15 @@ def check_memory(needed: int) -> None:
     available = available_memory()
     if needed > available:
         raise MapTooLargeError(needed, available)
+
+
+def _reclaimable(stat: Path) -> int:
+    """Bytes that a control group counts as used and gives back when they are needed: files that were read long ago."""
+    try:
+        lines = stat.read_text(encoding="ascii").splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) for line in lines if line.startswith("inactive_file ")), 0)
 
 
 def _free_of_machine() -> int:

@@ -301,18 +301,18 @@ def _at_intervals(function: Callable[[], bool], interval: float) -> Callable[[],
 
 
 def _fill_planner_data(planner: DIRT | None, data: ob.PlannerData) -> None:
-    """Write the tree to planner data: a vertex's tag is the node's index in `tree()`, an edge's weight its duration."""
+    """Add the tree to planner data: a vertex's tag is the node's index in `tree()`, an edge's weight its duration."""
     if planner is None or planner._search is None:
         return
     view, search = planner._search.view(), planner._search
-    states = [search.state_of(node) for node in range(len(view.parents))]
+    states, first = [search.state_of(node) for node in range(len(view.parents))], data.numVertices()
     for node, parent in enumerate(view.parents.tolist()):
         vertex = ob.PlannerDataVertex(states[node], node)
         if parent < 0:
             data.addStartVertex(vertex)
         else:
             data.addVertex(vertex)
-            data.addEdge(parent, node, ob.PlannerDataEdge(), ob.Cost(float(view.durations[node])))
+            data.addEdge(first + parent, first + node, ob.PlannerDataEdge(), ob.Cost(float(view.durations[node])))
     best, exact = search.best()
     if exact:
         data.addGoalVertex(ob.PlannerDataVertex(states[best], best))

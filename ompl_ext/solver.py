@@ -389,8 +389,8 @@ class DirtSolver(QueryTree):
         """Improve the best plan of the tree; if SAFETY refuses that, the part of it after the cycle's end."""
         tree = self._tree
         path = path_to(tree, int(tree.count[at.BEST]))
-        if len(path) == 1:
-            return  # the query begins in the goal
+        if len(path) == 1 or path[0] != 0:
+            return  # the query begins in the goal, or at a further root: optimised plans are added from the first one
         heads = [0]
         if self.safety.enabled:
             heads += [k for k in range(1, len(path) - 1) if tree.value[path[k], at.COST] >= self.safety.cycle][:1]

@@ -120,7 +120,8 @@ def plan_task(
     workspace, safety, settings = workspace_of(task, vehicle), safety_of_task(task), settings_of(task, vehicle)
     dirt = DirtSolver(vehicle, workspace, goal_of(task), safety, settings, threads=threads)
     slack = dirt.start(state, seed)
-    free = _distance(dirt, state) if slack < 0.0 and settings.excess == 0.0 else 0.0
+    is_coarse = settings.excess == 0.0 and task.goal.heading is None  # the cover is fine for a goal with a heading
+    free = _distance(dirt, state) if slack < 0.0 and is_coarse and not _beyond_limits(vehicle, state) else 0.0
     for excess in FINER:
         if slack < 0.0 and free > excess * vehicle.footprint.width:  # free, but too near for few discs
             settings = replace(settings, excess=excess)
@@ -143,7 +144,10 @@ def plan_task(
 
 
 def finds_plan(task: Task, vehicle: Vehicle, iterations: int, seed: int = 0) -> bool:
-    """Whether `plan_task` with these iterations and this seed has a plan to the goal; ends with the first one.
+    """Whether DIRT with these iterations and this seed finds a plan to the goal; ends with the first one.
+
+    `plan_task` may find one where this does not: it also optimises plans, and covers the footprint by smaller discs
+    where the start asks for that.
 
     Args:
         task: scene, start and goal, both free.
@@ -222,11 +226,23 @@ def _distance(dirt: DirtSolver, state: Floats) -> float:
     return dirt.exact.distance(*pose_of(state, dirt.vehicle))
 
 
+def _beyond_limits(vehicle: Vehicle, state: Floats) -> str:
+    """Components of a state (nx,) that are beyond the vehicle's limits, with their values; empty if none is."""
+    beyond = [
+        f"{name} is {value:g}, not {low:g} to {high:g}"
+        for name, value, (low, high) in zip(vehicle.state, state, vehicle.state_limits, strict=True)
+        if not low <= value <= high
+    ]
+    return ", ".join(beyond)
+
+
 def _infeasible_start(dirt: DirtSolver, state: Floats, slack: float) -> str:
     """Reason why no plan from this start exists, whatever the budget; empty if one may exist."""
     x, y, _ = pose_of(state, dirt.vehicle)
     if not reachable(dirt.problem, x, y):
         return UNREACHABLE
+    if slack < 0.0 and (beyond := _beyond_limits(dirt.vehicle, state)):
+        return f"the start is beyond the limits of the vehicle: {beyond}"
     if slack < 0.0:
         return (
             f"the start is too near to an obstacle: {_distance(dirt, state):.4f} m, less than the discs that cover the "

@@ -18,6 +18,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     BRAKING,
     CYCLE,
     GOAL_COS,
+    GOAL_HEADING,
     GOAL_LIMITS,
     GOAL_NEAR,
     GOAL_RADIUS,
@@ -104,6 +105,7 @@ def cost_to_go(problem: Problem, block: Floats, lane: int) -> float:
 def finish(lanes: int, problem: Problem, work: Lanes) -> None:
     """Compute configuration, cost-to-go and goal of the ends of `lanes` edges, which the working block has."""
     scalar = problem.scalar
+    is_exact = problem.option[GOAL_HEADING] == 1 or problem.option[GOAL_LIMITS] == 1
     turn_lanes(work.block, lanes)
     for i in range(lanes):
         x, y = work.block[X * WIDTH + i], work.block[Y * WIDTH + i]
@@ -116,6 +118,8 @@ def finish(lanes: int, problem: Problem, work: Lanes) -> None:
         work.slack[i] = 0.0 if inside else -1.0
         work.togo[i] = cost_to_go(problem, work.block, i) if inside else UNREACHABLE
         work.at_goal[i] = 1 if inside and in_goal(problem, work.block, int64(0), i) else 0
+        if work.at_goal[i] == 1 and is_exact:  # the search for poses aims for a smaller region within the goal
+            work.togo[i] = 0.0
 
 
 def cut_at_goal(lanes: int, problem: Problem, work: Lanes) -> bool:

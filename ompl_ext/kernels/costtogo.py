@@ -353,11 +353,15 @@ def smooth(points: Matrix, reach: int, smoothed: Matrix) -> None:
 
 @inlined
 def with_braking(scalar: Floats, seconds: float, speed: float) -> float:
-    """Least time for as far as the top speed gets in `seconds`, at least the braking distance, ending at GOAL_SPEED."""
+    """Least time for as far as the top speed gets in `seconds`, at least the braking distance, ending at GOAL_SPEED.
+
+    It ends more slowly where that speed cannot be reached on the way.
+    """
     rate, top = scalar[BRAKING], scalar[TOP_SPEED]
     speed = min(speed, top)
     last = scalar[GOAL_SPEED]
     distance = max(seconds * top, (speed * speed - last * last) / (2.0 * rate))
+    last = min(last, math.sqrt(speed * speed + 2.0 * rate * distance))
     peak = min(math.sqrt(rate * distance + 0.5 * (speed * speed + last * last)), top)
     last = min(last, peak)
     even = distance - (2.0 * peak * peak - speed * speed - last * last) / (2.0 * rate)

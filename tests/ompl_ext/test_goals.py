@@ -122,6 +122,31 @@ def test_limits_are_part_of_what_a_goal_contains(name: str, change: float) -> No
     assert replace(GOAL, limits={}).contains(ROVER, state)
 
 
+def test_what_is_in_the_goal_has_nothing_left_to_go() -> None:
+    """Else an edge that ends there could be dropped although it is better than the best plan."""
+    wide = Goal((2.4, 2.2), 0.3, math.pi / 2, 0.5, {"v": (-0.4, 0.4)})
+    dirt = DirtSolver(ROVER, ROOM, wide, NO_SAFETY)
+    states = np.zeros((200, 5))
+    states[:, :2] = wide.center + RNG.uniform(-0.3, 0.3, (200, 2))
+    states[:, 2], states[:, 3] = wide.heading + RNG.uniform(-0.6, 0.6, 200), RNG.uniform(-0.5, 0.5, 200)
+    inside = 0
+    for state in states:
+        dirt.start(state)
+        arrived = wide.contains(ROVER, state)
+        assert (dirt.root_cost_to_go == 0.0) == arrived
+        inside += arrived
+    assert 20 < inside < 180
+
+
+def test_a_slow_vehicle_need_not_leave_the_way_at_the_fastest_speed_of_the_goal() -> None:
+    """From standstill 5 cm before the goal's region with at most 0.9 m/s there: it takes what accelerating takes."""
+    goal = Goal((2.4, 2.2), 0.05, limits={"v": (-0.9, 0.9)})
+    dirt = DirtSolver(ROVER, Workspace(ROOM.bounds), goal, NO_SAFETY)
+    dirt.start(np.array([2.3, 2.2, 0.0, 0.0, 0.0]))
+    rate = float(motion_of(ROVER).rate[ROVER.index("v")])
+    assert dirt.root_cost_to_go <= math.sqrt(2.0 * 0.06 / rate)  # a cell may cost a centimetre
+
+
 @pytest.mark.parametrize("turns", [-1, 0, 2])
 def test_headings_of_a_path_go_on_from_the_start(turns: int) -> None:
     found, paths = pose_cost_to_go_of(ROVER, ROOM, GOAL, Settings(cell=0.02)), 0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -47,3 +49,12 @@ def test_what_is_available_is_some_of_this_machine() -> None:
     assert 1e6 < available_memory() < 1e14
     check_memory(1000)
     assert [in_words(size) for size in (2_340_000_000, 12_600_000, -5)] == ["2.3 GB", "13 MB", "0 MB"]
+
+
+def test_what_a_control_group_gives_back_is_available(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(memory, "GROUP", tmp_path)
+    (tmp_path / "memory.max").write_text("2000000\n")
+    (tmp_path / "memory.current").write_text("1900000\n")
+    assert available_memory() == 100_000
+    (tmp_path / "memory.stat").write_text("anon 400000\ninactive_file 1200000\nactive_file 100\n")
+    assert available_memory() == 1_300_000

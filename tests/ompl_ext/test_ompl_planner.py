@@ -151,6 +151,10 @@ def test_planner_data_is_the_tree(callbacks: bool) -> None:
     assert [data.getVertex(node).getState()[k] for k in range(4)] == tree.states[node].tolist()
     assert tree.controls.shape[1] == 2
     assert np.allclose(tree.costs[1:], tree.costs[tree.parents[1:]] + tree.durations[1:])
+    setup.getPlanner().getPlannerData(data)  # adds to what is there, as OMPL's planners do
+    count = len(tree.parents)
+    assert (data.numVertices(), data.numEdges()) == (2 * count, 2 * (count - 1))
+    assert data.edgeExists(count + int(tree.parents[node]), count + node)
 
 
 def test_the_plan_of_a_cycle_has_a_contingency_and_the_tree_asks_for_safety() -> None:

@@ -173,3 +173,18 @@ def test_intervals_are_short_for_fast_vehicles_and_long_for_long_plans() -> None
     assert interval_of(BENCHMARK, 10.0) == 0.1
     assert interval_of(fast, 1.0) == pytest.approx(0.35 * 0.4 / 6.0)
     assert interval_of(fast, 300.0) == 1.0
+
+
+@pytest.mark.parametrize("nearer_first", [True, False])
+def test_with_several_starts_the_reported_cost_is_that_of_the_plan(nearer_first: bool) -> None:
+    """Plans from the first start are optimised, those from others stay as they were found."""
+    starts = [START, np.add(START, [0.5, 0.5, 0.0, 0.0])]
+    dirt, (first, second) = turns(polish=True), starts[::-1] if nearer_first else starts
+    dirt.start(first, 0)
+    dirt.add_root(second)
+    dirt.grow(iterations=1500)
+    plan = dirt.plan()
+    assert plan is not None
+    assert plan.reaches_goal
+    assert dirt.progress.history[-1][1] == pytest.approx(plan.cost)
+    assert not verify(dirt, plan).problems

@@ -241,6 +241,10 @@ def test_a_long_vehicle_starts_as_near_to_a_wall_as_it_stands(x: float, mushr: V
         (lambda: room(WALL), "the goal is unreachable: no path from the start is wide enough for the footprint"),
         (lambda: room(NEAR), "the start is too near to an obstacle: 0.0025 m, less than the discs"),
         (
+            lambda: room(("heading_deg: 0", "heading_deg: 0, speed: -0.2")),
+            "the start is beyond the limits of the vehicle: v is -0.2, not 0 to 0.7",
+        ),
+        (
             lambda: dataclasses.replace(
                 room(),
                 planning=parse_scenario(SCENE + "planning: {safety: {delta: 0.4}}\n").planning,
@@ -248,10 +252,10 @@ def test_a_long_vehicle_starts_as_near_to_a_wall_as_it_stands(x: float, mushr: V
             "m of the clearance delta that its first cycle requires",
         ),
     ],
-    ids=["unreachable", "near", "delta"],
+    ids=["unreachable", "near", "limits", "delta"],
 )
 def test_a_hopeless_task_is_answered_without_searching(task: Callable[[], Task], reason: str, mushr: Vehicle) -> None:
-    result = plan_task(task(), mushr, FEW)
+    result = plan_task(task(), dataclasses.replace(mushr, limits={"v": (0.0, 0.7)}), FEW)
     assert not result.solved
     assert result.plan is None
     assert reason in result.reason
@@ -360,6 +364,7 @@ def test_a_negative_seed_is_refused(mushr: Vehicle) -> None:
 
 def test_what_identification_needs_is_compiled_before_a_vehicle_drives(monkeypatch: pytest.MonkeyPatch) -> None:
     vehicle, messages, compiled = load_vehicle("mushr"), list[str](), list[Vehicle]()
+    ensure_compiled(vehicle, lambda _: None)
     monkeypatch.setattr("kraft.sysid.elimination.is_cached", lambda: False)
     monkeypatch.setattr("kraft.sysid.factor_graph.compile_identification", compiled.append)
     ensure_compiled(vehicle, messages.append)
