@@ -11,8 +11,8 @@ from benchmarks.effort import Effort
 from benchmarks.report import Report, Row, Target, row
 from benchmarks.sensing_drives import Errors, drive, stand
 from kraft.scenario import Scenario
+from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.simulation.camera import Camera, MarkerCamera
-from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.rendered_camera import RenderedCamera
 from ompl_ext.arrays import Floats, Matrix
 

@@ -223,10 +223,10 @@ class QueryTree(EdgeChecker):
         if self.goal is None:
             raise ValueError("there is no goal to aim for")
         self.goal = replace(self.goal, radius=radius)
+        self._problem.scalar[at.GOAL_RADIUS] = radius
         if tolerance is not None and self.goal.has_heading:
             self.goal = replace(self.goal, tolerance=tolerance)
             self._problem.scalar[at.GOAL_TOLERANCE] = math.cos(tolerance)
-        self._problem.scalar[at.GOAL_RADIUS] = radius
 
     def goal_nodes(self) -> Ints:
         """Nodes in the goal region (n,), the one with the lowest cost first."""

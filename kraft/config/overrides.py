@@ -138,8 +138,8 @@ def overridden(document: Document, overrides: Sequence[Override]) -> Document:
     for override in overrides:
         try:
             path, data = _replaced(data, override.path, override)
-            within = [at for at in places if at[: len(path)] == path]  # nothing is left of these values
-            places = {at: place for at, place in places.items() if at not in within} | {path: override.place}
+            kept = {at: place for at, place in places.items() if at[: len(path)] != path}  # others are overwritten
+            places = kept | {path: override.place}
         except InputError as error:
             problems += error.diagnostics
     if problems:

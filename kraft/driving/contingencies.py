@@ -89,9 +89,8 @@ class ContingencyRanking:
 
         Candidates are all manoeuvres, the contingency `in_hand`, and those that follow one of the `plans` first.
         """
-        bound = self._rounded_slack(
-            begin, np.asarray(begin.state)[None, :], np.array([begin.time])
-        )  # of all candidates
+        first = np.asarray(begin.state)[None, :]
+        bound = self._rounded_slack(begin, first, np.array([begin.time]))  # all candidates begin here
         found: TrackedContingency | None = None
         for candidates in (self._immediate(begin, in_hand), self._along(begin, plans)):
             if found is None or found.rounded_slack < bound:

@@ -15,10 +15,11 @@ from typing import Final, Self
 import numpy as np
 
 from kraft.errors import Code, InputError
-from kraft.vehicles import CAR_CONTROLS, FORCE, check_state, is_car
+from kraft.vehicles import CAR_CONTROLS, check_state, is_car
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.kernels.moments import INSTANT, MAX_STEP, ROUNDING
 from ompl_ext.kernels.specialise import StepKernels, kernels, step_kernels
+from ompl_ext.names import FORCE
 from ompl_ext.vehicle import Vehicle
 
 CHANGE: Final = 1e-5
@@ -281,12 +282,12 @@ class CarModel(VehicleModel):
     @property
     def fastest(self) -> float:
         """Speed that the car reaches at most on a level floor, m/s: its stated one, or what full throttle leads to."""
-        values, forces = self._parameters.copy(), [k for k, name in enumerate(self.vehicle.parameters) if name in FORCE]
-        values[forces] = 0.0
-        state, full = np.zeros(len(self.vehicle.state)), self.command(self._bounds[self.throttle][1], 0.0)
-        for _ in range(round(UPDATED_TIME / MAX_STEP)):
-            self._step(state, full, values, MAX_STEP, state)
-        return max(self.vehicle.top_speed, float(state[self.v]))
+        level = self._parameters.copy()
+        level[[k for k, name in enumerate(self.vehicle.parameters) if name in FORCE]] = 0.0
+        states = np.zeros((1, round(UPDATED_TIME / MAX_STEP) + 1, len(self.vehicle.state)))
+        full = self.command(self._bounds[self.throttle][1], 0.0)[np.newaxis]
+        self._roll_out(states, full, level, np.array([MAX_STEP]))
+        return max(self.vehicle.top_speed, float(states[0, -1, self.v]))
 
     def set_parameters(self, values: Floats) -> None:
         """Change the parameters (np,), in the vehicle's order, for all who use this model.

@@ -118,14 +118,15 @@ def plan_task(
     check_placement(task, vehicle, state, previous.origin if previous else None)
     began = clock.perf_counter()
     workspace, safety, settings = workspace_of(task, vehicle), safety_of_task(task), settings_of(task, vehicle)
-    dirt = DirtSolver(vehicle, workspace, goal_of(task), safety, settings, threads=threads)
+    goal = goal_of(task)
+    dirt = DirtSolver(vehicle, workspace, goal, safety, settings, threads=threads)
     slack = dirt.start(state, seed)
-    is_coarse = settings.excess == 0.0 and task.goal.heading is None  # the cover is fine for a goal with a heading
+    is_coarse = settings.excess == 0.0 and not goal.has_heading  # for a goal with a heading the cover is fine
     free = _distance(dirt, state) if slack < 0.0 and is_coarse and not _beyond_limits(vehicle, state) else 0.0
     for excess in FINER:
         if slack < 0.0 and free > excess * vehicle.footprint.width:  # free, but too near for few discs
             settings = replace(settings, excess=excess)
-            dirt = DirtSolver(vehicle, workspace, goal_of(task), safety, settings, threads=threads)
+            dirt = DirtSolver(vehicle, workspace, goal, safety, settings, threads=threads)
             slack = dirt.start(state, seed)
     setup_seconds = clock.perf_counter() - began
     budget = budget or budget_of(task)

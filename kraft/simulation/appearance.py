@@ -15,8 +15,9 @@ import mujoco
 import numpy as np
 
 from kraft.scenario import Box, Scenario
+from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.simulation import contacts
-from kraft.simulation.car import MARKER_HEIGHT, MUSHR, WHEELS, CarDesign
+from kraft.simulation.car import MUSHR, WHEELS, CarDesign
 from kraft.simulation.floor_frame import FloorFrame
 from ompl_ext.arrays import Matrix
 

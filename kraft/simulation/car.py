@@ -14,7 +14,7 @@ from typing import Any, Final
 import mujoco
 
 from kraft.driving.vehicle_model import interpolate
-from kraft.scenario import schema
+from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.scenario.truth import VehicleGap
 from kraft.simulation import contacts
 from kraft.vehicles import GRAVITY
@@ -29,7 +29,6 @@ DRIVE: Final = "drive"
 WHEELS: Final = ("front left", "front right", "rear left", "rear right")
 STEERED: Final = WHEELS[:2]
 
-MARKER_HEIGHT: Final = schema.MARKER_HEIGHT
 BOUNCE: Final = 900.0 / 3.54
 """Stiffness of each wheel's spring over the chassis mass, N/m/kg: small cars with soft springs bounce at 5 Hz."""
 SWAY: Final = 28.0 / 3.54

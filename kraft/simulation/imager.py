@@ -18,8 +18,9 @@ import numpy as np
 
 from kraft.errors import MissingDependency
 from kraft.gl import offscreen_context
+from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.simulation.camera import HALF_MARKER
-from kraft.simulation.car import MARKER_HEIGHT, MUSHR
+from kraft.simulation.car import MUSHR
 from ompl_ext.arrays import Floats, Matrix
 
 CORNERS: Final = HALF_MARKER * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])

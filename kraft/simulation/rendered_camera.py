@@ -11,8 +11,8 @@ import numpy as np
 from kraft.driving.messages import Observation
 from kraft.errors import Code, InputError
 from kraft.scenario import Bounds, Scenario
+from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.simulation.camera import HALF_MARKER
-from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.floor_frame import yaw_rotation
 from kraft.simulation.imager import CORNERS, HEIGHT, WIDTH, Calibration, Imager, Imaging, Lens, View, dictionary, opencv
 from ompl_ext.arrays import Floats, Matrix

@@ -15,10 +15,11 @@ import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.scenario import Start
+from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.scenario.truth import VehicleGap
 from kraft.simulation import contacts
 from kraft.simulation.appearance import add_car_visuals
-from kraft.simulation.car import CAR, DRIVE, MARKER, MARKER_HEIGHT, STEERED, WHEELS, CarDesign, add_car
+from kraft.simulation.car import CAR, DRIVE, MARKER, STEERED, WHEELS, CarDesign, add_car
 from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_quaternion, yaw_rotation
 from kraft.text import suggestion
 from kraft.vehicles import CAR_CONTROLS

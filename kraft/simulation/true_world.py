@@ -19,21 +19,23 @@ from kraft.config.source import Source
 from kraft.errors import Code, Defect, Diagnostic, InputError
 from kraft.planning.workspace import planar_obstacle
 from kraft.scenario import Scenario, Start
+from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.scenario.truth import Truth, VehicleGap
 from kraft.simulation import contacts
-from kraft.simulation.car import CAR, MARKER_HEIGHT, CarDesign, design_of
+from kraft.simulation.car import CAR, CarDesign, design_of
 from kraft.simulation.contacts import Collision
 from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_rotation
 from kraft.simulation.robots import MjcfRobot, SimulatedCar, mjcf_robot
 from kraft.simulation.scene import build
 from kraft.simulation.world import TIMESTEP, World
 from kraft.text import suggestion
-from kraft.vehicles import CAR_CONTROLS, FORCE, STEEPEST, check_state, felt_gravity
+from kraft.vehicles import CAR_CONTROLS, STEEPEST, check_state, felt_gravity
 from kraft.vehicles.load import load_vehicle, natural_robot
 from kraft.vehicles.true_robot import CarDimensions, Robot
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels.specialise import kernels
+from ompl_ext.names import FORCE
 from ompl_ext.obstacles import Workspace
 from ompl_ext.vehicle import Vehicle
 

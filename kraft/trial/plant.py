@@ -11,8 +11,8 @@ from kraft.driving.estimation import CameraModel
 from kraft.driving.estimation.camera_model import SINGLE_TAG
 from kraft.driving.messages import Observation
 from kraft.scenario import Scenario
+from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.simulation.camera import Camera, MarkerCamera
-from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.floor_frame import yaw_rotation
 from kraft.simulation.true_world import TrueWorld
 from kraft.simulation.world import Ticks, steps_of

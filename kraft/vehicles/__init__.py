@@ -10,7 +10,6 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from kraft.errors import Code, InputError
-from ompl_ext.names import FORCE as FORCE
 
 if TYPE_CHECKING:
     from ompl_ext.vehicle import Vehicle

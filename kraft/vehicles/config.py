@@ -27,10 +27,11 @@ from kraft.config.schema import (
 from kraft.config.source import Source
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
-from kraft.vehicles import DELAY_MAX, FORCE
+from kraft.vehicles import DELAY_MAX
 from kraft.vehicles.identification_record import IdentificationRecord, SpeedPrediction
 from kraft.vehicles.reference import is_code
 from kraft.vehicles.true_robot import Robot, with_files
+from ompl_ext.names import FORCE
 from ompl_ext.vehicle import ParameterRange
 
 SPEED_EXPECTED = "expected a number in m/s, of at most 100, or the name of a parameter"

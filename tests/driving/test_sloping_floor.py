@@ -18,12 +18,13 @@ from kraft.driving.estimation.sloping_floor import SLOPE, ConstantOfDrive, slope
 from kraft.driving.method import Adaptive
 from kraft.driving.vehicle_model import CarModel
 from kraft.scenario import Sensing
+from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.scenario.truth import Tilt
 from kraft.simulation.camera import MarkerCamera
-from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.floor_frame import FloorFrame
-from kraft.vehicles import FORCE, GRAVITY, felt_gravity
+from kraft.vehicles import GRAVITY, felt_gravity
 from ompl_ext.arrays import Floats
+from ompl_ext.names import FORCE
 
 CAMERA = CameraModel((1.0, 3.0, 5.0), MARKER_HEIGHT, (0.0, 0.0))
 SETTINGS = Adaptive(kind="adaptive", compensate=False)

@@ -13,8 +13,8 @@ from kraft.driving.estimation.camera_model import PowerLaw
 from kraft.driving.messages import Observation
 from kraft.errors import Code, InputError
 from kraft.scenario import Sensing, load_scenario
+from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.simulation.camera import PRESETS, ErrorModel, MarkerCamera, Part
-from kraft.simulation.car import MARKER_HEIGHT
 from kraft.simulation.world import World
 from ompl_ext.arrays import Floats, Matrix
 

@@ -15,7 +15,7 @@ from kraft.driving.messages import Observation
 from kraft.errors import Code, InputError, MissingDependency
 from kraft.gl import offscreen_context
 from kraft.scenario import Scenario, load_scenario, parse_scenario
-from kraft.simulation.car import MARKER_HEIGHT
+from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.simulation.imager import Calibration, Imager, Imaging, Lens, View, opencv, rotation_about
 from kraft.simulation.rendered_camera import RenderedCamera, TagVision, calibrated_side, view_of
 from kraft.simulation.world import World

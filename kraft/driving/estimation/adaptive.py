@@ -34,8 +34,9 @@ from kraft.driving.method import RANGES_EXPECTED, Adaptive, unstated_ranges
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
-from kraft.vehicles import DELAY_MAX, FORCE
+from kraft.vehicles import DELAY_MAX
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.names import FORCE
 from ompl_ext.vehicle import Vehicle
 
 DELAY: Final = "delay"

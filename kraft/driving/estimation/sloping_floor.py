@@ -14,8 +14,9 @@ import numpy as np
 from kraft.driving.estimation.camera_model import CameraModel
 from kraft.sysid.parameters import Parameters, ParameterSpec
 from kraft.sysid.problem import ObservationModel
-from kraft.vehicles import FORCE, STEEPEST, felt_gravity
+from kraft.vehicles import STEEPEST, felt_gravity
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.names import FORCE
 from ompl_ext.vehicle import Vehicle
 
 SLOPE: Final = ("floor_x", "floor_y")
