@@ -126,10 +126,14 @@ def run_control(
     try:
         inputs = Inputs(spec.robot, transport)
         tasks = TaskInputs(spec.robot, transport, Mailbox(maps, "the process of the maps") if maps else None)
-        found = Checklist(spec.robot, transport, inputs, tasks).run(spec, lambda: mailbox.closed, mailbox.send)
-        mailbox.send(found)
+        found = Checklist(spec.robot, transport, inputs, tasks).run(spec, lambda: not mailbox.is_empty, mailbox.send)
+        if mailbox.is_empty:  # otherwise an order to stop has cut the check list short
+            mailbox.send(found)
         order = mailbox.wait()
-        if isinstance(order, Begin) and found.passed:
+        if isinstance(order, StopOrder):
+            ended = Ended("stopped" if mailbox.closed else "interrupted", order.reason, 0.0)
+            mailbox.send(ended).wait(REPORT_TIME)
+        elif isinstance(order, Begin) and found.passed:
             guard_mail.send(order)
             warm_up(spec)
             tracker = Tracker(spec, order, transport, inputs)

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from kraft.errors import Code, InputError
 from kraft.robot.messages import from_cdr, to_cdr
-from kraft.robot.transport import SEND_BUFFER, Outbox, Peers, Receive, Refused
+from kraft.robot.transport import SEND_BUFFER, Answers, Outbox, Peers, Receive, Receiver, Refused
 
 LENGTH: Final = struct.Struct("<I")
 ANSWER_TIME: Final = 1.0
@@ -211,17 +211,22 @@ class LoopbackClient:
             raise InputError.of(
                 "transport.socket", problem, "expected the socket of kraft world", Code.NOT_FOUND
             ) from error
-        self.problem, self.connections = "", 1
+        self.connections: Final = 1
+        self._problem = ""
         self._path, self._wire = path, Wire(connected)
         self._subscriptions: dict[str, tuple[str, Receive]] = {}
-        self._answers: dict[int, Peers] = {}
-        self._numbers = itertools.count()
+        self._answers = Answers[Peers]()
         self._outbox = Outbox[bytes, Any]()
         self._sender = threading.Thread(
             target=_send, args=(self._wire, self._outbox), name="loopback sender", daemon=True
         )
         self._sender.start()
-        threading.Thread(target=self._receive, name="loopback receiver", daemon=True).start()
+        self._receiver = Receiver(self._receive, "loopback receiver")
+
+    @property
+    def problem(self) -> str:
+        """Why nothing travels now; empty while messages do."""
+        return self._receiver.defect or self._problem
 
     def advertise(self, topic: str, kind: str, *, latched: bool = False) -> None:
         """Announce messages."""
@@ -241,14 +246,8 @@ class LoopbackClient:
 
     def peers(self, topic: str) -> Peers:
         """Publishers and subscribers of a topic, without this client."""
-        number = next(self._numbers)
-        self._outbox.operate(_frame("peers", topic, number))
-        until = time.monotonic() + ANSWER_TIME
-        while time.monotonic() < until:
-            if number in self._answers:
-                return self._answers.pop(number)
-            time.sleep(0.002)
-        return Peers(None, None)
+        answer = self._answers.ask(lambda number: self._outbox.operate(_frame("peers", topic, number)), ANSWER_TIME)
+        return answer or Peers(None, None)
 
     def close(self) -> None:
         """Send what waits and disconnect."""
@@ -265,9 +264,9 @@ class LoopbackClient:
                 receive(from_cdr(_content(frame), kind), arrival)
             else:
                 number, publishers, subscribers = content
-                self._answers[number] = Peers(frozenset(publishers), frozenset(subscribers))
+                self._answers.put(number, Peers(frozenset(publishers), frozenset(subscribers)))
         if not self._outbox.closed:
-            self.problem = f"the connection to {self._path} is lost"
+            self._problem = f"the connection to {self._path} is lost"
             self._outbox.close()
         self._wire.shut_down()
         self._sender.join()

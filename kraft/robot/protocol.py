@@ -284,6 +284,11 @@ class Mailbox:
         self._outgoing.put((message, sent))
         return sent
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether no message waits to be taken."""
+        return self._arrived.empty()
+
     def take(self) -> list[Any]:
         """Messages that have arrived."""
         found = []

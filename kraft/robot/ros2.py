@@ -11,7 +11,7 @@ from typing import Any, Final
 from kraft.errors import Code, InputError, MissingDependency
 from kraft.robot.messages import from_cdr, to_cdr, types
 from kraft.robot.robot_file import Ros2
-from kraft.robot.transport import Peers, Receive, Refused
+from kraft.robot.transport import Peers, Receive, Receiver, Refused
 
 try:
     from cyclonedds import idl
@@ -117,7 +117,8 @@ class Ros2Transport:
         except DDSException as error:
             problem = f"DDS cannot join domain {number} ({error})"
             raise InputError.of("transport", problem, "expected a network interface that DDS can use") from error
-        self.problem, self.connections = "", 1
+        self.connections: Final = 1
+        self._problem = ""
         self._writers: dict[str, Any] = {}
         self._readers: dict[Any, tuple[Any, str, Receive, Refused | None]] = {}
         self._waitset = WaitSet(self._participant)
@@ -127,8 +128,12 @@ class Ros2Transport:
             "publishers": BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication),
             "subscribers": BuiltinDataReader(self._participant, BuiltinTopicDcpsSubscription),
         }
-        self._thread = threading.Thread(target=self._receive, name="dds receiver", daemon=True)
-        self._thread.start()
+        self._receiver = Receiver(self._receive, "dds receiver")
+
+    @property
+    def problem(self) -> str:
+        """Why nothing travels now; empty while messages do."""
+        return self._receiver.defect or self._problem
 
     def advertise(self, topic: str, kind: str, *, latched: bool = False) -> None:
         """Announce messages: reliable, and transient local if they are latched."""
@@ -141,9 +146,9 @@ class Ros2Transport:
         writer = self._writers[topic]
         try:
             writer.write(writer.data_type(to_cdr(message)))
-            self.problem = ""
+            self._problem = ""
         except DDSException as error:
-            self.problem = f"DDS cannot send on {topic} ({error})"
+            self._problem = f"DDS cannot send on {topic} ({error})"
 
     def subscribe(
         self, topic: str, kind: str, receive: Receive, *, latched: bool = False, reliable: bool = True,
@@ -174,7 +179,7 @@ class Ros2Transport:
     def close(self) -> None:
         """Leave the domain."""
         self._closed = True
-        self._thread.join(timeout=10 * WAIT)
+        self._receiver.join(10 * WAIT)
 
     def _receive(self) -> None:
         while not self._closed:

@@ -5,7 +5,6 @@ https://github.com/RobotWebTools/rosbridge_suite/blob/ros2/ROSBRIDGE_PROTOCOL.md
 
 from __future__ import annotations
 
-import itertools
 import json
 import socket
 import threading
@@ -17,7 +16,7 @@ from urllib.parse import urlparse
 from kraft.errors import Code, InputError, MissingDependency
 from kraft.robot.messages import from_json, is_known, to_json
 from kraft.robot.robot_file import Rosbridge
-from kraft.robot.transport import SEND_BUFFER, Outbox, Peers, Receive, Refused
+from kraft.robot.transport import SEND_BUFFER, Answers, Outbox, Peers, Receive, Receiver, Refused
 
 CONNECT_TIME: Final = 5.0
 """Time to wait for a connection, s."""
@@ -25,6 +24,8 @@ ANSWER_TIME: Final = 1.0
 """Time to wait for the answer of a service, s."""
 RETRY_TIME: Final = 0.5
 """Time between two attempts to connect again, s."""
+REQUEST: Final = "kraft"
+"""Beginning of the name of a request, before its number."""
 MESSAGE_MAX: Final = 256 * 2**20
 """Largest message, bytes: maps are long."""
 
@@ -67,22 +68,23 @@ class RosbridgeClient:
         self._settings, self._library = settings, _websockets()
         self._subscriptions: dict[str, _Subscription] = {}
         self._announced: dict[str, dict[str, Any]] = {}
-        self._answers: dict[str, Any] = {}
-        self._numbers = itertools.count()
+        self._answers = Answers[dict[str, Any]]()
         self._outbox = Outbox[str, dict[str, Any]]()
         self._lock = threading.Lock()
-        self.problem, self.connections = "", 1
+        self._problem, self.connections = "", 1
         try:
             self._socket = self._connect()
         except OSError as error:
             problem = f"nobody answers at {settings.url} ({error})"
             raise InputError.of("transport", problem, "expected a rosbridge server there", Code.NOT_FOUND) from error
-        self._threads = [
-            threading.Thread(target=self._receive, name="rosbridge receiver", daemon=True),
-            threading.Thread(target=self._send, name="rosbridge sender", daemon=True),
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._receiver = Receiver(self._receive, "rosbridge receiver")
+        self._sender = threading.Thread(target=self._send, name="rosbridge sender", daemon=True)
+        self._sender.start()
+
+    @property
+    def problem(self) -> str:
+        """Why nothing travels now; empty while messages do."""
+        return self._receiver.defect or self._problem
 
     def _connect(self) -> Any:
         try:
@@ -121,24 +123,18 @@ class RosbridgeClient:
         )
 
     def _names(self, service: str, topic: str, key: str) -> frozenset[str] | None:
-        number = f"kraft{next(self._numbers)}"
-        request = {"op": "call_service", "id": number, "service": service, "args": {"topic": topic}}
-        self._outbox.operate(json.dumps(request))
-        until = time.monotonic() + ANSWER_TIME
-        while time.monotonic() < until:
-            if number in self._answers:
-                answer = self._answers.pop(number)
-                values = answer.get("values")
-                if answer.get("result") is False or not isinstance(values, dict):
-                    return None
-                return frozenset(map(str, values.get(key, ())))
-            time.sleep(0.005)
-        return None
+        request = {"op": "call_service", "service": service, "args": {"topic": topic}}
+        answer = self._answers.ask(
+            lambda number: self._outbox.operate(json.dumps({**request, "id": f"{REQUEST}{number}"})), ANSWER_TIME
+        )
+        values = answer.get("values") if answer is not None and answer.get("result") is not False else None
+        names = values.get(key, ()) if isinstance(values, dict) else None
+        return frozenset(map(str, names)) if isinstance(names, (list, tuple)) else None
 
     def close(self) -> None:
         """Send what waits and disconnect."""
         self._outbox.close()
-        self._threads[1].join(timeout=1.0)
+        self._sender.join(timeout=1.0)
         self._socket.close()
 
     def _type(self, kind: str) -> str:
@@ -176,7 +172,7 @@ class RosbridgeClient:
         """Note a loss of the connection, unless there is another one by now."""
         with self._lock:
             if used is self._socket and not self._outbox.closed:
-                self.problem = f"the connection to {self._settings.url} is lost ({error})"
+                self._problem = f"the connection to {self._settings.url} is lost ({error})"
 
     def _reconnect(self) -> None:
         while not self._outbox.closed:
@@ -186,7 +182,7 @@ class RosbridgeClient:
                 time.sleep(RETRY_TIME)
                 continue
             with self._lock:
-                self._socket, self.problem = opened, ""
+                self._socket, self._problem = opened, ""
                 self.connections += 1
             for content in self._announced.values():
                 self._outbox.operate(json.dumps(content))
@@ -202,7 +198,9 @@ class RosbridgeClient:
         if not isinstance(content, dict):
             return
         if content.get("op") == "service_response":
-            self._answers[str(content.get("id"))] = content
+            number = str(content.get("id")).removeprefix(REQUEST)
+            if number.isdecimal():
+                self._answers.put(int(number), content)
         subscription = self._subscriptions.get(str(content.get("topic")))
         if content.get("op") != "publish" or subscription is None:
             return

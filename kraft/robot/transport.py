@@ -5,6 +5,8 @@ A transport whose peer may be slow sends from a thread of its own what waits in 
 
 from __future__ import annotations
 
+import itertools
+import queue
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -58,6 +60,7 @@ SEND_BUFFER: Final = 32 * 1024
 """Size of a socket's buffer for sending, bytes: after a pause of its receiver few old messages are delivered."""
 Operation = TypeVar("Operation")
 Content = TypeVar("Content")
+Answer = TypeVar("Answer")
 
 
 @dataclass
@@ -97,3 +100,53 @@ class Outbox(Generic[Operation, Content]):
             operations, self.operations = self.operations, []
             contents, self.newest = list(self.newest.items()), {}
             return operations, contents
+
+
+class Answers(Generic[Answer]):
+    """Answers to numbered requests, each of which is waited for; one that comes too late is dropped."""
+
+    def __init__(self) -> None:
+        self._numbers = itertools.count()
+        self._expected: dict[int, queue.SimpleQueue[Answer]] = {}
+
+    def ask(self, send: Callable[[int], None], seconds: float) -> Answer | None:
+        """Send a request with a new number and wait for its answer; None if none comes in a time (s)."""
+        number = next(self._numbers)
+        self._expected[number] = queue.SimpleQueue()
+        try:
+            send(number)
+            return self._expected[number].get(timeout=seconds)
+        except queue.Empty:
+            return None
+        finally:
+            del self._expected[number]
+
+    def put(self, number: int, answer: Answer) -> None:
+        """Take an answer, from the thread that receives it."""
+        expected = self._expected.get(number)
+        if expected is not None:
+            expected.put(answer)
+
+
+class Receiver:
+    """Thread that receives the messages of a transport.
+
+    `defect` says which exception that no transport expects has ended it; it is empty while there is none.
+    """
+
+    def __init__(self, receive: Callable[[], None], name: str) -> None:
+        """Run `receive` in a new thread of that name."""
+        self._receive, self.defect = receive, ""
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def join(self, timeout: float) -> None:
+        """Wait for the end of the thread, or for a time (s)."""
+        self._thread.join(timeout)
+
+    def _run(self) -> None:
+        try:
+            self._receive()
+        except Exception as error:
+            self.defect = f"nothing is received any more, because of a defect: {type(error).__name__}: {error}"
+            raise  # with its traceback on stderr

@@ -26,7 +26,9 @@ from websockets.sync.client import connect
 from benchmarks.rig import ROBOT, Rig
 from kraft.errors import Defect, InputError
 from kraft.logs.reader import read_logs
+from kraft.robot.connect import open_transport
 from kraft.robot.messages import ACKERMANN, GRID, POSE, header, make, pose_fields, stamped_pose
+from kraft.robot.robot_file import load_robot
 from kraft.robot.show import KINDS
 from kraft.trial.result import Outcome
 from kraft_cli.main import main
@@ -94,6 +96,26 @@ def test_the_second_interrupt_ends_at_once(tmp_path: Path) -> None:
         assert rig.until(lambda: rig.process.poll() is not None, 5.0)
         assert rig.process.returncode == 130
         assert rig.stands(6.0)
+
+
+def test_an_interrupt_of_the_check_list_ends_it_at_once(tmp_path: Path) -> None:
+    """Poses that never come are waited for 15 s."""
+    described = ROBOT.format(transport=f"{{kind: loopback, socket: {tmp_path / 'socket'}}}", more="", give_up=2.0)
+    (tmp_path / "robot.yaml").write_text(described, encoding="utf-8")
+    server = open_transport(load_robot(tmp_path / "robot.yaml"), "robot")
+    command = [sys.executable, "-m", "kraft_cli", "drive", "boxes", "--robot", str(tmp_path / "robot.yaml"), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        until = time.monotonic() + 60.0
+        while not server.peers("/pf/pose/odom").subscribers and time.monotonic() < until:
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        began = time.monotonic()
+        out, _ = process.communicate(timeout=30.0)
+    server.close()
+    assert time.monotonic() - began < 8.0
+    assert process.returncode == 130
+    driven = json.loads(out)
+    assert (driven["outcome"], driven["reason"], driven["cycles"]) == ("interrupted", "interrupted", 0)
 
 
 def test_a_drive_whose_terminal_is_gone_stops_and_writes_its_result(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ from kraft.robot.messages import (
 from kraft.robot.robot_file import Robot, Ros2, Rosbridge
 from kraft.robot.ros2 import dds_topic, dds_type, domain_number
 from kraft.robot.rosbridge import RosbridgeClient, RosbridgeServer
-from kraft.robot.transport import Transport
+from kraft.robot.transport import Answers, Transport
 
 DOMAINS = itertools.count(100 + threading.get_native_id() % 100)
 COMMAND = make(ACKERMANN, header=header(5, "base_link"), drive={"speed": 0.5, "steering_angle": -0.25})
@@ -331,3 +331,41 @@ def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, tmp
     monkeypatch.setitem(sys.modules, "websockets.sync.client", None)
     with pytest.raises(MissingDependency, match="websockets"):
         open_transport(robot({"kind": "rosbridge", "url": "ws://localhost:1"}))
+
+
+def test_an_answer_that_comes_too_late_is_dropped() -> None:
+    answers, asked = Answers[str](), list[int]()
+    assert answers.ask(asked.append, 0.01) is None
+    answers.put(asked[0], "late")
+    assert answers.ask(lambda number: answers.put(number, f"answer {number}"), 1.0) == "answer 1"
+    assert not answers._expected, "nothing is kept of either"
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.parametrize("kind", ["loopback", "rosbridge", "ros2"])
+def test_a_defect_in_what_takes_a_message_is_a_problem_of_the_transport(kind: str, tmp_path: Path) -> None:
+    """Without it the poses would only grow old."""
+    settings = {
+        "loopback": {"kind": kind, "socket": str(tmp_path / "socket")},
+        "rosbridge": {"kind": kind, "url": f"ws://localhost:{free_port()}"},
+        "ros2": {"kind": kind, "domain": next(DOMAINS), "interface": "lo"},
+    }[kind]
+
+    def fail(message: Any, arrival: int) -> None:
+        raise ZeroDivisionError("of a subscriber")
+
+    there = open_transport(robot(settings), "robot")
+    here = open_transport(robot(settings))
+    there.advertise("/pose", POSE)
+    here.subscribe("/pose", POSE, fail)
+
+    def noticed() -> bool:
+        there.publish("/pose", stamped_pose(1, "map", (0, 0, 0)))
+        return "ZeroDivisionError: of a subscriber" in here.problem
+
+    assert eventually(noticed)
+    here.advertise("/drive", ACKERMANN)
+    here.publish("/drive", COMMAND)
+    assert "ZeroDivisionError" in here.problem, "what can be sent does not end it"
+    here.close()
+    there.close()
