@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from kraft.config import bundled
 from kraft.config.overrides import parse_overrides
@@ -27,12 +27,14 @@ from kraft.robot.drive import DriveResult, check_method, drive, on_the_clock
 from kraft.robot.protocol import Checked, DriveSpec, Status
 from kraft.robot.robot_file import Robot, load_robot
 from kraft.robot.show import Display
-from kraft.scenario import load_scenario
+from kraft.scenario import Scenario, load_scenario
 from kraft.text import alternatives, counted
 from kraft.trial.planning_vehicle import planning_vehicle
 from kraft.trial.plant import camera_model
+from kraft.vehicles.load import load_vehicle
 from kraft_cli.work.run import cycle_line
 from kraft_cli.work.verbose import vehicle_details
+from ompl_ext.vehicle import Vehicle
 
 DRIVE_SCHEMA: Final = "kraft.drive/1"
 MANIFEST: Final = "manifest.json"
@@ -89,13 +91,7 @@ def drive_robot(
         Unreachable: if no path leads to the goal.
         MissingDependency: if a package of the transport is missing.
     """
-    out, bag = request.out, request.bag
-    problems = Problems()
-    spec = problems.of(lambda: resolve(request))
-    problems.of(lambda: None if out is None else check_new_folder(out))
-    problems.of(lambda: None if bag is None else check_bag(bag))
-    problems.check()
-    assert spec is not None, "every problem was raised"
+    out, bag, spec = request.out, request.bag, resolve(request)
     for line in vehicle_details(spec.vehicle):
         detail(line)
     steps, heading = needs_steps(spec.method, spec.vehicle), spec.task.goal.heading is not None
@@ -161,23 +157,49 @@ def _status(status: Status) -> str:
     return f"  pose {1000 * status.pose_age:.0f} ms old{f', so far {counts}' if counts else ''}"
 
 
-def resolve(request: DriveRequest) -> DriveSpec:
-    """Load everything that a drive needs, and check that it fits together.
+class DriveFiles(NamedTuple):
+    """What the options of a drive name."""
+
+    robot: Robot
+    method: Method
+    scenario: Scenario
+    vehicle: Vehicle
+
+
+def load_files(request: DriveRequest) -> DriveFiles:
+    """Load what the options name, and check the other options.
 
     Raises:
-        InputError: with the problems of all options and files; then of the vehicle.
+        InputError: with the problems of all options and files.
     """
-    problems, named = Problems(), request.robot
+    problems, named, reference = Problems(), request.robot, request.vehicle
+    out, bag = request.out, request.bag
     robot = problems.of(lambda: load_robot(named) if isinstance(named, str) else named)
     method = problems.of(lambda: _method(request.method))
     settings = problems.of(lambda: parse_overrides(request.settings, "set"))
     scenario = problems.of(lambda: load_scenario(request.scenario, settings or ()))
     problems.found += out_of_range("seed", request.seed, 0)
+    problems.of(lambda: None if out is None else check_new_folder(out))
+    problems.of(lambda: None if bag is None else check_bag(bag))
+    if scenario is not None and method is not None:
+        vehicle = problems.of(partial(planning_vehicle, scenario, method, reference))
+    else:  # the model alone
+        vehicle = problems.of(lambda: None if reference is None else load_vehicle(reference))
     problems.check()
     assert robot is not None, "every problem was raised"
     assert method is not None, "every problem was raised"
     assert scenario is not None, "every problem was raised"
-    vehicle = planning_vehicle(scenario, method, request.vehicle)
+    assert vehicle is not None, "every problem was raised"
+    return DriveFiles(robot, method, scenario, vehicle)
+
+
+def resolve(request: DriveRequest) -> DriveSpec:
+    """Load everything that a drive needs, and check that it fits together.
+
+    Raises:
+        InputError: with the problems of all options and files; then of what they are together.
+    """
+    robot, method, scenario, vehicle = load_files(request)
     camera = camera_model(scenario) if robot.pose.level_camera else None
     spec = DriveSpec(
         scenario.task(), on_the_clock(method), limited(vehicle, robot), robot, scenario.trial.timeout, request.seed,

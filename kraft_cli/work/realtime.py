@@ -7,23 +7,21 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
 from kraft.config.overrides import parse_overrides
-from kraft.driving.method import load_method
-from kraft.errors import Code, Defect, InputError, Problems
+from kraft.errors import Code, Defect, Diagnostic, Problems
 from kraft.robot.priority import leave_signals_to_planner, process_context
 from kraft.robot.robot_file import JOINT_STATE, CommandOutput, Loopback, Robot, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
-from kraft.scenario import load_scenario
 from kraft.text import finite, metres
-from kraft.trial.planning_vehicle import other_robot, planning_vehicle
+from kraft.trial.planning_vehicle import other_robot
 from kraft.trial.result import Outcome, outcome_text
 from kraft.vehicles import is_car
-from kraft_cli.work.drive import Driven, DriveRequest, drive_json, drive_robot, drive_table
+from kraft_cli.work.drive import DriveFiles, Driven, DriveRequest, drive_json, drive_robot, drive_table, load_files
 from kraft_cli.work.run import RunRequest
 from kraft_cli.work.verbose import discard_message
 from kraft_cli.work.world import WorldRequest, pace_text, simulate
@@ -65,43 +63,48 @@ def run_in_real_time(
         MissingDependency: if a video or a window is requested and no image can be rendered.
     """
     outputs = request.outputs
-    if outputs.plot is not None:
-        raise InputError.of_argument("plot", "draws a trial", "expected --out and --bag with --realtime", Code.CONFLICT)
     with tempfile.TemporaryDirectory(prefix="kraft-") as folder:
         socket = Loopback(kind="loopback", socket=str(Path(folder) / "socket"))
         robot = load_robot(ROBOT).model_copy(update={"transport": socket, "clock": None})
-        robot = _for_vehicle(robot, request, report)
-        simulated = WorldRequest(
-            request.scenario, robot, request.vehicle, request.seed, request.settings, 1.0, outputs.video, outputs.view
-        )
         asked = DriveRequest(
             request.scenario, robot, request.method, request.vehicle, request.seed, request.settings, request.out,
             outputs.bag,
         )  # fmt: skip
+        robot = _for_vehicle(robot, _load(request, asked), report)
+        asked = replace(asked, robot=robot)
+        simulated = WorldRequest(
+            request.scenario, robot, request.vehicle, request.seed, request.settings, 1.0, outputs.video, outputs.view
+        )
         with _world(simulated) as ended:
             driven = drive_robot(asked, report, problem, detail)
             return RealtimeRun(request, driven, ended())
 
 
-def _for_vehicle(robot: Robot, request: RunRequest, report: Callable[[str], None]) -> Robot:
+def _load(request: RunRequest, asked: DriveRequest) -> DriveFiles:
+    """What the options name.
+
+    Raises:
+        InputError: with the problems of all options and files.
+    """
+    problems, outputs = Problems(), request.outputs
+    if outputs.plot is not None:
+        expected = "expected --out and --bag with --realtime"
+        problems.found.append(Diagnostic("plot", "draws a trial", expected, code=Code.CONFLICT, argument=True))
+    problems.of(replace(outputs, plot=None, bag=None).check)
+    files = problems.of(lambda: load_files(asked))
+    problems.check()
+    assert files is not None, "every problem was raised"
+    return files
+
+
+def _for_vehicle(robot: Robot, files: DriveFiles, report: Callable[[str], None]) -> Robot:
     """The robot with commands for the vehicle that drives: of a car, or joints with the controls of another one.
 
     `report` receives a warning of a true robot that is not like the vehicle.
-
-    Raises:
-        InputError: with the problems of the scenario, the method or the vehicle.
     """
-    problems = Problems()
-    settings = problems.of(lambda: parse_overrides(request.settings, "set"))
-    scenario = problems.of(lambda: load_scenario(request.scenario, settings or ()))
-    method = problems.of(lambda: load_method(request.method))
-    problems.check()
-    assert scenario is not None, "every problem was raised"
-    assert method is not None, "every problem was raised"
-    vehicle = planning_vehicle(scenario, method, request.vehicle)
-    if text := other_robot(scenario, vehicle):
+    if text := other_robot(files.scenario, files.vehicle):
         report(f"warning: {text}")
-    if is_car(vehicle):
+    if is_car(files.vehicle):
         return robot
     own = robot.command
     joints = CommandOutput(topic=own.topic, type=JOINT_STATE, frame=own.frame, timeout=own.timeout)

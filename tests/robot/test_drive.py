@@ -308,6 +308,17 @@ def test_run_on_the_wall_clock_refuses_what_has_no_contingency_and_what_draws_a_
     assert "nowhere" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("command", [("drive", "boxes", "--robot", "sim"), ("run", "boxes", "--realtime")])
+def test_the_problems_of_all_options_are_told_at_once(
+    command: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = ("--method", "kraft", "--vehicle", "nothing", "--seed", "-1", "--out", str(tmp_path), "--bag", "drive.txt")
+    assert main([*command, *wrong]) == 2
+    told = capsys.readouterr().err
+    for problem in ("--method: is kraft", "no vehicle 'nothing'", "--seed: is -1", "is there already", "--bag: is"):
+        assert problem in told
+
+
 def test_nobody_at_the_address_is_one_line_and_leaves_no_folder(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
