@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -93,7 +94,7 @@ def series(values: Floats, quantum: float, order: int = 1) -> list[Any]:
     """Series of finite numbers as ``[quantum, order, integers]``."""
     integers = np.rint(np.asarray(values, dtype=float) / quantum).astype(np.int64)
     for _ in range(order):
-        integers = np.diff(integers, prepend=0)
+        integers[1:] -= integers[:-1].copy()
     return [quantum, order, integers.tolist()]
 
 
@@ -183,11 +184,10 @@ def _cycle(cycle: Cycle, vehicle: Vehicle) -> dict[str, Any]:
 
 def _line(reference: Reference, vehicle: Vehicle) -> list[Any]:
     """Its x and y, at its beginning, at times on the grid, and at its end."""
-    first, last = np.ceil(reference.start / GRID - 1e-6), np.floor(reference.end / GRID + 1e-6)
-    times = np.unique([reference.start, *(GRID * np.arange(first, last + 1)), reference.end])
-    states = interpolated_rows(times, reference.times, reference.states)
-    poses = poses_of(states, vehicle)
-    return [series(poses[:, k], POINT) for k in range(2)]
+    first, last = math.ceil(reference.start / GRID - 1e-6), math.floor(reference.end / GRID + 1e-6)
+    times = sorted({reference.start, *(GRID * k for k in range(first, last + 1)), reference.end})
+    axes = vehicle.index("x"), vehicle.index("y")
+    return [series(np.interp(times, reference.times, reference.states[:, axis]), POINT) for axis in axes]
 
 
 def _band(predicted: PredictedMotion, vehicle: Vehicle) -> dict[str, Any]:
@@ -230,11 +230,15 @@ def _branches(parents: Ints, counts: Ints, most: int) -> Ints:
 
     Multiples of the golden ratio choose leaves from all over the time in which the tree grew.
     """
-    leaves = np.setdiff1d(np.arange(len(parents)), parents)
+    is_leaf = np.ones(len(parents), bool)
+    is_leaf[parents[parents >= 0]] = False
+    leaves = np.flatnonzero(is_leaf)
     leaves = leaves[np.argsort(np.arange(len(leaves)) * GOLDEN % 1.0)]
     kept, left = dict[int, None](), most
     before, points_of = parents.tolist(), counts.tolist()
     for leaf in leaves.tolist():
+        if points_of[leaf] > left and kept:
+            continue
         branch, node, points = list[int](), leaf, 0
         while node >= 0 and node not in kept and (points <= left or not kept):
             branch.append(node)
@@ -254,17 +258,16 @@ def _points(tree: TreeView, nodes: Ints, counts: Ints, vehicle: Vehicle) -> Matr
 
     The model drives along the edges; where the planner had other parameters by then, the rest is spread over the edge.
     """
-    axes, roll_out = [vehicle.index("x"), vehicle.index("y")], kernels(vehicle).roll_out
-    ends, begins = tree.states[:, axes][nodes], np.cumsum(counts) - counts
-    points = np.repeat(ends, counts, axis=0)
-    for count in set(counts.tolist()) - {1}:
-        alike = np.flatnonzero((counts == count) & (tree.parents[nodes] >= 0))
-        driven = np.empty((len(alike), count * SUBSTEPS + 1, tree.states.shape[1]))
-        driven[:, 0] = tree.states[tree.parents[nodes[alike]]]
-        steps = tree.durations[nodes[alike]] / (count * SUBSTEPS)
-        roll_out(driven, np.ascontiguousarray(tree.controls[nodes[alike]]), vehicle.parameter_array, steps)
-        places = driven[:, SUBSTEPS::SUBSTEPS, axes]
-        share = np.linspace(0.0, 1.0, count + 1)[1:, None]
-        places += share * (ends[alike, None] - places[:, -1:])
-        points[begins[alike, None] + np.arange(count)] = places
+    axes, number = [vehicle.index("x"), vehicle.index("y")], np.arange(len(nodes))
+    driven = np.empty((len(nodes), counts.max() * SUBSTEPS + 1, tree.states.shape[1]))
+    driven[:, 0] = tree.states[tree.parents[nodes]]  # that of a root is not used
+    steps = tree.durations[nodes] / (counts * SUBSTEPS)
+    kernels(vehicle).roll_out(driven, np.ascontiguousarray(tree.controls[nodes]), vehicle.parameter_array, steps)
+    ends, begins, edge = tree.states[:, axes][nodes], np.cumsum(counts) - counts, np.repeat(number, counts)
+    along = np.arange(len(edge)) - begins[edge] + 1  # number of a point along its edge
+    share = np.where(along < counts[edge], along * (1.0 / counts)[edge], 1.0)
+    rest = ends - driven[number, counts * SUBSTEPS][:, axes]
+    points: Matrix = driven[edge, along * SUBSTEPS][:, axes] + share[:, None] * rest[edge]
+    alone = counts == 1  # roots among them
+    points[begins[alone]] = ends[alone]
     return points
