@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -134,11 +134,24 @@ def natural_robot(vehicle: Vehicle) -> tuple[Robot, Source]:
     It is the one in the vehicle's file, else the MuSHR for a car, and else the vehicle's own model.
     """
     if vehicle.file:
-        config = load_vehicle_config(Path(vehicle.file))
-        if config.truth is not None:
-            files, _ = with_files(config.truth, Path(vehicle.file).parent, config.source)
-            return config.truth.model_copy(update=files), config.source
+        path = Path(vehicle.file)
+        changed = path.stat().st_mtime_ns if path.exists() else 0
+        if (stated := _stated_robot(path, changed)) is not None:
+            return stated
     return Robot(car=CarDimensions()) if is_car(vehicle) else Robot(), Source(vehicle.file or vehicle.name)
+
+
+@lru_cache(8)  # every trial asks for it
+def _stated_robot(path: Path, changed: int) -> tuple[Robot, Source] | None:
+    """True robot that a vehicle file states, with its source; None if it states none.
+
+    `changed` is when the file was changed (ns), because after that it may state another one.
+    """
+    config = load_vehicle_config(path)
+    if config.truth is None:
+        return None
+    files, _ = with_files(config.truth, path.parent, config.source)
+    return config.truth.model_copy(update=files), config.source
 
 
 class RecordedVehicle(StatedByCode):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from support.diagnostics import located, raised
 from kraft.config import bundled
 from kraft.errors import Code
 from kraft.vehicles.config import Footprint, VehicleConfig, load_vehicle_config
-from kraft.vehicles.load import load_vehicle
+from kraft.vehicles.load import load_vehicle, natural_robot
 from kraft.vehicles.mushr import MUSHR_LAG
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 
@@ -185,6 +186,20 @@ def test_a_vehicle_knows_where_its_values_were_written(tmp_path: Path) -> None:
     (tmp_path / "car.yaml").write_text(CAR)
     position = load_vehicle_config(tmp_path / "car.yaml").source.where("parameters.L.value")
     assert str(position) == "line 4, column 14"
+
+
+def test_the_true_robot_of_a_file_is_the_one_that_it_states_now(tmp_path: Path) -> None:
+    path, text = tmp_path / "mine.yaml", (bundled.folder("vehicle") / "mushr.yaml").read_text()
+    path.write_text(text)
+    vehicle = load_vehicle(str(path))
+    before, _ = natural_robot(vehicle)
+    path.write_text(f"{text}truth: {{car: {{length: 0.5}}}}\n")
+    os.utime(path, (0, 0))
+    after, source = natural_robot(vehicle)
+    assert before.car is not None
+    assert after.car is not None
+    assert (before.car.length, after.car.length) == (None, 0.5)
+    assert source.where("truth.car.length") is not None
 
 
 def test_other_values_keep_the_rest_of_the_vehicle() -> None:
