@@ -9,6 +9,7 @@ import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from operator import mul
 from typing import Final, Literal, Protocol
 
 import numpy as np
@@ -262,6 +263,7 @@ class PoseNoise:
         models = (noise.along, noise.across, noise.heading)
         only = None if correlation_time is None else (Part(1.0, time=correlation_time),)
         self._models = [(model, model.parts if only is None else only) for model in models]
+        self._weights = [[math.sqrt(part.share) for part in parts] for _, parts in self._models]
         bias = noise.bias[0], noise.bias[0], noise.bias[1]
         self._bias = [size * draw for size, draw in zip(bias, self._normal(3), strict=True)]
         self._parts = [[0.0] * len(parts) for _, parts in self._models]
@@ -284,15 +286,10 @@ class PoseNoise:
         if missed < self.dropout:
             return None
         distance, phi, direction = sight
-        along, across, heading = (
-            model.error(
-                sum(math.sqrt(part.share) * value for part, value in zip(parts, values, strict=True)),
-                distance,
-                phi,
-                self._blur,
-            )
-            for (model, parts), values in zip(self._models, self._parts, strict=True)
-        )
+        along, across, heading = [
+            model.error(sum(map(mul, weights, values)), distance, phi, self._blur)
+            for (model, _), weights, values in zip(self._models, self._weights, self._parts, strict=True)
+        ]
         c, s = math.cos(direction), math.sin(direction)
         x, y, theta = self._bias
         error = x + c * along - s * across, y + s * along + c * across, theta + heading

@@ -64,6 +64,7 @@ class World:
         self._movable = [self.data.body(f"movable {i}") for i in range(len(truth.movable_boxes))]
         self._collision: Collision | None = None
         self._steps = 0
+        self._place: tuple[float, float, float] | None = None  # pose of the robot, once it was asked for
         self.reset()
         self._check_start(scenario)
 
@@ -75,7 +76,7 @@ class World:
         self._robot.place(self._start if start is None else start, self.frame, self._state.vehicle)
         self.apply([0.0] * len(self.controls))
         mujoco.mj_step1(self.model, self.data)
-        self._steps = 0
+        self._steps, self._place = 0, None
         self._collision = self._contacts.first(0.0)
 
     def apply(self, control: Floats | Sequence[float]) -> None:
@@ -99,6 +100,7 @@ class World:
     def _advance(self, steps: int) -> None:
         """Advance by `steps` or to the first collision, without changes of the world."""
         model, data, contacts = self.model, self.data, self._contacts
+        self._place = None
         for _ in range(steps):
             # in this order positions and contacts are those of the new time
             mujoco.mj_step2(model, data)
@@ -149,7 +151,7 @@ class World:
     @property
     def pose(self) -> Floats:
         """Position (m) of the robot's body and heading (rad) in the floor's frame, (3,)."""
-        return np.array(self._planar(self._body))
+        return np.array(self._planar_pose)
 
     @property
     def speed(self) -> float:
@@ -181,7 +183,8 @@ class World:
     @property
     def in_goal(self) -> bool:
         """Whether the robot is in the goal region: position, and what else the goal bounds."""
-        return self._goal.contains(*self._planar(self._body), {"v": self.speed, **self.components})
+        components = {"v": self.speed, **self.components} if self._goal.limits else {}
+        return self._goal.contains(*self._planar_pose, components)
 
     @property
     def depth_in_floor(self) -> float:
@@ -199,6 +202,7 @@ class World:
         self.reset()
         self.data.qpos[:] = configuration
         mujoco.mj_step1(self.model, self.data)
+        self._place = None
 
     def _check_start(self, scenario: Scenario) -> None:
         """Check that no movable box overlaps the car at the start, because contact forces would throw them apart."""
@@ -207,6 +211,13 @@ class World:
         if keys:
             diagnostic = scenario.source.diagnostic
             raise InputError(diagnostic(key, problem, expected, code=Code.GEOMETRY) for key in keys)
+
+    @property
+    def _planar_pose(self) -> tuple[float, float, float]:
+        """Pose of the robot's body, computed once after each step: several ask for it."""
+        if self._place is None:
+            self._place = self._planar(self._body)
+        return self._place
 
     def _planar(self, body: Any) -> tuple[float, float, float]:
         x, y = self.frame.along_floor(body.xpos - self.frame.origin)

@@ -221,7 +221,7 @@ class _Trial:
 
     @property
     def _true_pose(self) -> tuple[float, float, float]:
-        x, y, theta = map(float, self.world.pose)
+        x, y, theta = self.world.pose.tolist()
         return x, y, theta
 
     def _record_error(self, true_pose: tuple[float, float, float]) -> None:

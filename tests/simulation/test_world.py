@@ -232,3 +232,15 @@ def test_a_recorded_moment_can_be_shown_again() -> None:
     world.show(moment)
     assert np.array_equal(world.pose, pose)
     assert np.array_equal(world.movable_poses, boxes)
+
+
+def test_the_pose_is_that_of_the_present_moment() -> None:
+    world = open_world()
+    start = world.pose
+    drive(world, 1.0, 0.0, 1.0)
+    driven, moment = world.pose, world.configuration
+    assert driven[0] > start[0] + 0.1
+    world.reset(Start(2.0, 1.0, 0.5))
+    assert world.pose == pytest.approx([2.0, 1.0, 0.5])
+    world.show(moment)
+    assert world.pose == pytest.approx(driven)
