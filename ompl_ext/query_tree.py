@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -62,12 +63,18 @@ class QueryTree(EdgeChecker):
         if not 1 <= threads <= MAX_THREADS:
             raise ValueError(f"threads is {threads}, not 1 to {MAX_THREADS}")
         super().__init__(vehicle, workspace, goal, safety, settings)
-        max_nodes = max(capacity, max_nodes)
-        self._trees = [
-            GrowingTree(vehicle, self._problem, workspace.bounds, self.settings, capacity, max_nodes)
-            for _ in range(threads)
-        ]
+        self._threads, self._capacity, self._max_nodes = threads, capacity, max(capacity, max_nodes)
         self._progress = Progress()
+
+    @cached_property
+    def _trees(self) -> list[GrowingTree]:
+        """Trees, with memory from the first query on: a solver that only checks edges needs none."""
+        return [
+            GrowingTree(
+                self.vehicle, self._problem, self.workspace.bounds, self.settings, self._capacity, self._max_nodes
+            )
+            for _ in range(self._threads)
+        ]
 
     @property
     def _tree(self) -> at.Tree:

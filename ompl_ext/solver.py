@@ -64,8 +64,8 @@ class DirtSolver(QueryTree):
     """Algorithm 1 for one vehicle in one workspace towards one goal.
 
     Use: `start`, then `retain` if there is an earlier plan, then `grow` any number of times, and `plan` at any time.
-    The constructor computes the clearance field and the cost-to-go, and allocates the tree's memory.  Without a goal
-    the solver is an `EdgeChecker`.
+    The constructor computes the clearance field and the cost-to-go; the first query allocates the tree's memory.
+    Without a goal the solver is an `EdgeChecker`.
 
     A budget of iterations uses memory for `capacity` nodes; for any other budget the memory is doubled when needed, up
     to `max_nodes`.  When the memory is full, the tree is pruned; if then less than a tenth is free, the search ends.
