@@ -136,11 +136,11 @@ def success_times(rows: Iterable[TrialRow]) -> list[float]:
 
 def digest(result: TrialResult) -> str:
     """Hash over true state, estimated state and command at every tick."""
-    found = hashlib.sha256()
-    for step in result.steps:
-        numbers = [step.time, *step.pose, step.speed, *step.estimate, *step.command, step.cycle]
-        found.update(np.asarray(numbers, dtype=float).tobytes())
-    return found.hexdigest()[:16]
+    numbers = [
+        [step.time, *step.pose, step.speed, *step.estimate.tolist(), *step.command.tolist(), step.cycle]
+        for step in result.steps
+    ]
+    return hashlib.sha256(np.array(numbers, dtype=float).tobytes()).hexdigest()[:16]
 
 
 NAME: Final = "trials.jsonl"

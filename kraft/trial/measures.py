@@ -232,23 +232,29 @@ def measure(
     )
 
 
+def normalised_squares(errors: Sequence[tuple[Floats, Matrix]]) -> list[float]:
+    """Squares of errors (n,), each normalised by its covariance (n, n)."""
+    if not errors:
+        return []
+    each = np.array([error for error, _ in errors])
+    solved = np.linalg.solve(np.array([covariance for _, covariance in errors]), each[:, :, None])[:, :, 0]
+    return [float(error @ weighted) for error, weighted in zip(each, solved, strict=True)]
+
+
 def farthest_point(true: Matrix, expected: Matrix, footprint: Footprint) -> Floats:
     """Largest distance (n,) between a point of the footprint at the pose `true` and the same point at `expected`.
 
     Poses (n, 3) are in m and rad.  The displacement is an affine function of the point, so a corner has the largest.
     """
     far: Floats = np.zeros(len(true))
-    for x in (footprint.offset - footprint.length / 2, footprint.offset + footprint.length / 2):
-        for y in (-footprint.width / 2, footprint.width / 2):
-            apart = _point(true, x, y) - _point(expected, x, y)
-            far = np.maximum(far, np.hypot(apart[:, 0], apart[:, 1]))
+    x, y, x0, y0 = true[:, 0], true[:, 1], expected[:, 0], expected[:, 1]
+    (c, s), (c0, s0) = ((np.cos(poses[:, 2]), np.sin(poses[:, 2])) for poses in (true, expected))
+    for along in (footprint.offset - footprint.length / 2, footprint.offset + footprint.length / 2):
+        for left in (-footprint.width / 2, footprint.width / 2):
+            dx = (x + c * along - s * left) - (x0 + c0 * along - s0 * left)
+            dy = (y + s * along + c * left) - (y0 + s0 * along + c0 * left)
+            far = np.maximum(far, np.hypot(dx, dy))
     return far
-
-
-def _point(poses: Matrix, x: float, y: float) -> Matrix:
-    """Position (n, 2) of the point (x, y) of a body at poses (n, 3), m."""
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    return np.column_stack([poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y])
 
 
 class _Span(NamedTuple):

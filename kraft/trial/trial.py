@@ -25,10 +25,11 @@ from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.true_world import TrueWorld, world_of
 from kraft.trial.cause import Cause, collision_cause, timeout_cause
 from kraft.trial.closest_approach import ClosestApproach
-from kraft.trial.measures import Measures, Step, measure
+from kraft.trial.measures import Measures, Step, measure, normalised_squares
 from kraft.trial.oracle import OracleEstimator, true_model
 from kraft.trial.plant import Plant, Radio, camera_model
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
+from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
 
 OnCycle = Callable[[Cycle], None]
@@ -129,7 +130,7 @@ class _Trial:
         self._sent: list[tuple[float, Commitment]] = []
         self._in_flight: list[Observation] = []
         self._true_poses: dict[float, tuple[float, float, float]] = {}  # at the time of each observation in flight
-        self._errors_squared: list[float] = []
+        self._errors: list[tuple[Floats, Matrix]] = []  # of poses, with the covariances that the estimator stated
         once = method.planner.mode == "one-shot"
         self._limit = scenario.trial.oneshot_timeout if once else scenario.trial.timeout
         exact = ExactClearance(workspace_of(scenario, vehicle), vehicle.footprint)
@@ -208,7 +209,7 @@ class _Trial:
         model = self._model
         return measure(
             log.cycles, log.steps, model.vehicle.footprint, model.pose,
-            self._radio.lost, self._errors_squared, self._on_board.stops,
+            self._radio.lost, normalised_squares(self._errors), self._on_board.stops,
         )  # fmt: skip
 
     def cause(self, log: _Log, outcome: Outcome) -> Cause | None:
@@ -225,12 +226,12 @@ class _Trial:
         return x, y, theta
 
     def _record_error(self, true_pose: tuple[float, float, float]) -> None:
-        """Record the normalised squared error of the pose for which the estimator states a covariance."""
+        """Record the error of the pose for which the estimator states a covariance."""
         belief = self._estimator.belief
         if belief is not None:
             error = np.array(true_pose) - belief.mean
             error[2] = math.remainder(error[2], math.tau)
-            self._errors_squared.append(float(error @ np.linalg.solve(belief.covariance, error)))
+            self._errors.append((error, belief.covariance))
 
     def advance(self) -> None:
         """Advance the world to the next event."""

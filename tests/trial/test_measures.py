@@ -10,7 +10,7 @@ import pytest
 from support.fake_trials import cycle
 
 from kraft.driving.messages import ContingencyOrigin, Cycle, PlanLoss, PredictedMotion
-from kraft.trial.measures import BAND, Measures, Step, farthest_point, measure, pooled
+from kraft.trial.measures import BAND, Measures, Step, farthest_point, measure, normalised_squares, pooled
 from ompl_ext.arrays import Matrix
 from ompl_ext.vehicle import Footprint
 
@@ -104,6 +104,16 @@ def test_the_band_holds_95_percent_of_a_consistent_estimators_errors() -> None:
     assert found is not None
     assert found.share == pytest.approx(0.95, abs=0.01)
     assert found.mean == pytest.approx(3.0, abs=0.15)
+
+
+def test_each_error_is_normalised_by_its_own_covariance() -> None:
+    random, given = np.random.default_rng(0), []
+    for scale in (1e-4, 1e-2, 1.0):
+        root = scale * random.normal(size=(3, 3))
+        given.append((scale * random.normal(size=3), root @ root.T + 1e-3 * scale**2 * np.eye(3)))
+    alone = [float(error @ np.linalg.solve(covariance, error)) for error, covariance in given]
+    assert normalised_squares(given) == alone
+    assert normalised_squares([]) == []
 
 
 def test_measures_of_trials_add_up() -> None:
