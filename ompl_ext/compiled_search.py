@@ -68,6 +68,7 @@ class CompiledSearch:
             max_nodes,
             threads,
         )
+        self.dirt.clear()  # allocates the memory, before any planning time is measured
 
     def clear(self) -> None:
         """Empty the tree; maps and memory stay."""
