@@ -187,24 +187,27 @@ def add_pose_to_states(j: int, row: int, s: int, g: Graph, out: Eliminated) -> N
             out.diagonal[s, a, c] += here * here * product
             out.solved[s, a, c] += here * there * product
             out.diagonal[s + 1, a, c] += there * there * product
-        for r in range(np_):
-            product = slope * g.pose_rho[j, row, r]
-            out.solved[s, a, nx + r] += here * product
-            out.solved[s + 1, a, nx + r] += there * product
         out.solved[s, a, nx + np_] += here * slope * g.pose[j, row]
         out.solved[s + 1, a, nx + np_] += there * slope * g.pose[j, row]
 
 
 @part
 def add_pose(j: int, s: int, log: int, g: Graph, out: Eliminated) -> None:
-    """Add pose j, seen between states s and s + 1."""
-    np_ = out.by_rho.shape[2]
+    """Add pose j, seen between states s and s + 1; it depends on few of the parameters."""
+    nx, np_ = out.left.shape[1], out.by_rho.shape[2]
+    there, here = g.share[j], 1.0 - g.share[j]
     for row in range(3):
         add_pose_to_states(j, row, s, g, out)
+        weight = g.weight[j] * g.pose_information[row]
         for r in range(np_):
-            slope = g.weight[j] * g.pose_information[row] * g.pose_rho[j, row, r]
+            by_rho = g.pose_rho[j, row, r]
+            slope = weight * by_rho
             if slope == 0.0:
                 continue
+            for a in range(nx):
+                product = weight * g.pose_state[j, row, a] * by_rho
+                out.solved[s, a, nx + r] += here * product
+                out.solved[s + 1, a, nx + r] += there * product
             out.gradient[log, r] += slope * g.pose[j, row]
             for q in range(r, np_):
                 out.information[log, r, q] += slope * g.pose_rho[j, row, q]
