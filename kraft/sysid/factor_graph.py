@@ -55,6 +55,11 @@ class FastGraph:
         chains = self.problem.chains
         return allocate(len(chains.h), chains.states, chains.logs, self.problem.dynamics.nx, size)
 
+    @property
+    def pose_residuals(self) -> Matrix:
+        """Those of the problem (n, 3) at the point of the last linearisation."""
+        return self._graph.pose
+
     def cost(self, point: Point) -> float:
         """Cost of a point."""
         return self.problem.cost(point)
@@ -65,7 +70,7 @@ class FastGraph:
         x = point.states[chains.state]
         led, jacobian = p.dynamics.linearise(x, point.controls, point.rho, chains.h)
         mean, slopes = p.actuators.mean(point.rho)
-        residuals, (by_state, by_rho) = p.pose_residuals(point), p.linearised_poses(point)
+        residuals, by_state, by_rho = p.linearised_poses(point)
         self.point = point
         self._graph = Graph(
             first=chains.first,
@@ -281,8 +286,8 @@ class PaperGraph:
         def evaluate(given: list[Floats]) -> tuple[Floats, list[Matrix]]:
             before, after, rho = given
             state = ((1.0 - share) * before + share * after)[None]
-            by_state, by_rho = observation.linearise(state, rho)
-            residual = observation.residual(state, rho, pose[None])[0]
+            predicted, by_state, by_rho = observation.linearise(state, rho)
+            residual = observation.residual(predicted, pose[None])[0]
             slope = frame @ by_state[0]
             return frame @ residual, [(1.0 - share) * slope, share * slope, frame @ by_rho[0]]
 

@@ -171,7 +171,7 @@ class Knowledge:
         _, jacobian = problem.dynamics.linearise(point.states[chains.state], point.controls, point.rho, chains.h)
         nx, nu = problem.dynamics.nx, problem.dynamics.nu
         forced = jacobian[:, :, nx : nx + nu] @ problem.actuators.mean(point.rho)[1] + jacobian[:, :, nx + nu :]
-        by_state, by_rho = problem.observation.linearise(point.states, point.rho)
+        _, by_state, by_rho = problem.observation.linearise(point.states, point.rho)
         slope = np.zeros((len(begin), nx, forced.shape[2]))
         for k, name in ((2, "theta"), (0, "x"), (1, "y")):  # the shown pose is known; the yaw first
             if name in self.parameters.vehicle.state:

@@ -75,12 +75,13 @@ class ObservationModel:
         shown = np.array([self._x, self._y, self._theta], dtype=np.int64)
         poses_of_windows(states, lane, step, share, shown, np.array(self.offsets(rho)), out)
 
-    def linearise(self, states: Matrix, rho: Floats) -> tuple[Floats, Floats]:
-        """Derivatives of the poses by state (n, 3, nx) and by rho (n, 3, np)."""
+    def linearise(self, states: Matrix, rho: Floats) -> tuple[Matrix, Floats, Floats]:
+        """Poses (n, 3) observed of states (n, nx), and their derivatives by state (n, 3, nx) and by rho (n, 3, np)."""
+        poses = self.predict(states, rho)
         by_state, by_rho = np.zeros((len(states), 3, states.shape[1])), np.zeros((len(states), 3, self._np))
         by_state[:, 0, self._x] = by_state[:, 1, self._y] = 1.0
         if self._theta < 0:
-            return by_state, by_rho
+            return poses, by_state, by_rho
         by_state[:, 2, self._theta] = 1.0
         if self._offset >= 0:
             by_rho[:, 2, self._offset] = 1.0
@@ -93,16 +94,16 @@ class ObservationModel:
                 by_rho[:, 0, self._lever], by_rho[:, 1, self._lever] = c, s
             if self._side >= 0:
                 by_rho[:, 0, self._side], by_rho[:, 1, self._side] = -s, c
-        return by_state, by_rho
+        return poses, by_state, by_rho
 
     @property
     def turns(self) -> bool:
         """Whether yaw is observed."""
         return self._theta >= 0
 
-    def residual(self, states: Matrix, rho: Floats, poses: Matrix) -> Matrix:
-        """Predicted less observed (n, 3)."""
-        difference = self.predict(states, rho) - poses
+    def residual(self, predicted: Matrix, poses: Matrix) -> Matrix:
+        """Predicted less observed poses (n, 3)."""
+        difference = predicted - poses
         if not self.turns:
             difference[:, 2] = 0.0
         return difference
@@ -233,15 +234,19 @@ class Problem:
 
     def pose_residuals(self, point: Point) -> Matrix:
         """(n, 3) predicted less observed, in the directions and units of their noise."""
-        residuals = self.observation.residual(self.at_poses(point.states), point.rho, self.chains.poses)
-        return residuals if self.frames is None else np.einsum("nij,nj->ni", self.frames, residuals)
+        return self._pose_residuals(self.observation.predict(self.at_poses(point.states), point.rho))
 
-    def linearised_poses(self, point: Point) -> tuple[Floats, Floats]:
-        """Derivatives of the residuals of poses by the interpolated state (n, 3, nx) and by rho (n, 3, np)."""
-        by_state, by_rho = self.observation.linearise(self.at_poses(point.states), point.rho)
+    def linearised_poses(self, point: Point) -> tuple[Matrix, Floats, Floats]:
+        """Residuals (n, 3) of poses, and derivatives by the interpolated state (n, 3, nx) and by rho (n, 3, np)."""
+        predicted, by_state, by_rho = self.observation.linearise(self.at_poses(point.states), point.rho)
+        residuals = self._pose_residuals(predicted)
         if self.frames is None:
-            return by_state, by_rho
-        return np.ascontiguousarray(self.frames @ by_state), np.ascontiguousarray(self.frames @ by_rho)
+            return residuals, by_state, by_rho
+        return residuals, np.ascontiguousarray(self.frames @ by_state), np.ascontiguousarray(self.frames @ by_rho)
+
+    def _pose_residuals(self, predicted: Matrix) -> Matrix:
+        residuals = self.observation.residual(predicted, self.chains.poses)
+        return residuals if self.frames is None else np.einsum("nij,nj->ni", self.frames, residuals)
 
     def dynamics_residuals(self, point: Point) -> Matrix:
         """(N, nx) next state less the step of the model."""

@@ -152,8 +152,7 @@ class SlidingWindow:
         covariance[np.ix_(free, free)] = np.linalg.inv(optimum.factors.total_information[np.ix_(free, free)])
         times = np.concatenate([s.part.pose_times[s.poses] for s in segments])
         found = self._with_change(graph, moving, noise, covariance)
-        residuals = -problem.pose_residuals(optimum.point)
-        return Identified(*found, times, residuals, self.rho.copy(), covariance)
+        return Identified(*found, times, -graph.pose_residuals, self.rho.copy(), covariance)
 
     def _with_change(
         self,

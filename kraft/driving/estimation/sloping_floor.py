@@ -62,12 +62,12 @@ class SlopingObservationModel(ObservationModel):
         poses[:] = self._camera.seen(poses, rho[self._slope])
         return poses
 
-    def linearise(self, states: Matrix, rho: Floats) -> tuple[Floats, Floats]:
-        """Derivatives of the poses by state (n, 3, nx) and by rho (n, 3, np)."""
-        _, jacobians = self._camera.linearised(super().predict(states, rho), rho[self._slope])
+    def linearise(self, states: Matrix, rho: Floats) -> tuple[Matrix, Floats, Floats]:
+        """Poses (n, 3) measured of states (n, nx), and their derivatives by state (n, 3, nx) and by rho (n, 3, np)."""
+        poses, jacobians = self._camera.linearised(super().predict(states, rho), rho[self._slope])
         by_state, by_rho = np.zeros((len(states), 3, states.shape[1])), np.zeros((len(states), 3, len(rho)))
         by_state[:, :, self._pose], by_rho[:, :, self._slope] = jacobians[:, :, :3], jacobians[:, :, 3:]
-        return by_state, by_rho
+        return poses, by_state, by_rho
 
 
 def slope_told(
