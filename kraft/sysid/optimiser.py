@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, Protocol
 
 import gtsam
@@ -164,16 +165,16 @@ class RhoFactors:
     @classmethod
     def with_priors(cls, information: Floats, gradient: Matrix, problem: Problem, rho: Floats) -> RhoFactors:
         """Costs of the logs, and those of the priors of a problem at rho (np,); frozen parameters have none."""
-        inverse = np.where(problem.parameters.free, 1.0 / problem.parameters.std, 0.0)
+        inverse = problem.parameters.inverse_std
         return cls(information, gradient, inverse**2, inverse * problem.prior_residuals(rho))
 
-    @property
+    @cached_property
     def total_information(self) -> Matrix:
         """(np, np)"""
         total: Matrix = np.sum(self.information, axis=0) + np.diag(self.prior_information)
         return total
 
-    @property
+    @cached_property
     def total_gradient(self) -> Floats:
         """(np,)"""
         total: Floats = np.sum(self.gradient, axis=0) + self.prior_gradient
@@ -234,8 +235,9 @@ def _solve(factors: RhoFactors, damping: float, free: Bools, fixed: Floats) -> F
     """
     total = factors.total_information
     slope = factors.total_gradient + total @ np.where(free, 0.0, fixed)
-    damped = total[free][:, free] + np.diag(damping * np.diag(total)[free])
-    size = np.diag(damped)
+    damped, own = total[free][:, free], total.diagonal()[free]
+    size = own + damping * own
+    np.fill_diagonal(damped, size)
     scale = 1.0 / np.sqrt(np.where(size > 0.0, size, 1.0))  # units of the parameters differ by orders of magnitude
     graph = gtsam.GaussianFactorGraph()
     graph.add(gtsam.HessianFactor(RHO, scale[:, None] * damped * scale, -scale * slope[free], 0.0))

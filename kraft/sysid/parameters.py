@@ -97,6 +97,11 @@ class Parameters:
         return np.array([spec.std for spec in self.specs])
 
     @cached_property
+    def inverse_std(self) -> Floats:
+        """(np,) their inverses, 0 of frozen parameters."""
+        return np.where(self.free, 1.0 / self.std, 0.0)
+
+    @cached_property
     def free(self) -> Bools:
         """(np,) whether a parameter is estimated."""
         return np.array([spec.name not in self.frozen for spec in self.specs], dtype=bool)
