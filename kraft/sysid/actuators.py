@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
     from kraft.logs.log import Part
 
 
+HAT = np.array([[-0.5], [0.5], [1.5]])
+"""Times of a hat function in steps from the begin of the step that it stands for."""
+HAT_INTEGRALS = [held.TWICE, held.ONCE, held.TWICE_BY_LAG]
+"""Integrals whose second differences are the mean weighted with it, and its derivatives by time and by lag."""
 SPLIT_MIN = 0.01
 """Least share of a step that is split off."""
 POSE_SPLIT_MIN = 0.07
@@ -47,7 +52,6 @@ class ActuatorModel:
             for control in self._controls
         ]
         self._drives = _drives(segments)
-        self._poses = np.concatenate([_pose_within(s) for s in segments])
         self._last: tuple[bytes, Matrix, Floats] | None = None
         self._lags = [parameters.auxiliary_index(f"lag_{control}") for control in self._controls]
         self._dead_bands = [parameters.auxiliary_index(f"dead_band_{control}") for control in self._controls]
@@ -58,6 +62,11 @@ class ActuatorModel:
             alike.setdefault((self._lags[k], self._dead_bands[k], self._plays[k], *delays), []).append(k)
         self._alike = list(alike.values())
         """controls that are processed alike, together; one with a dead band or a play is like no other"""
+
+    @cached_property
+    def _poses(self) -> Floats:
+        """(N,) share of each step after which a pose was observed in it, see `_pose_within`."""
+        return np.concatenate([_pose_within(s) for s in self._segments])
 
     def mean(self, rho: Floats) -> tuple[Matrix, Floats]:
         """Acting controls (N, nu) of all steps and their derivatives (N, nu, np) with respect to rho.
@@ -254,9 +263,8 @@ def box_means(times: Floats, values: Matrix, begin: Floats, h: Floats) -> Means:
 
 def hat_means(times: Floats, values: Matrix, begin: Floats, h: Floats, lag: float) -> Means:
     """Means weighted with a hat function that reaches half a step beyond each step; `lag` is in s."""
-    found = _integrals(times, values, begin + np.array([[-0.5], [0.5], [1.5]]) * h, lag)
-    square = h[:, None] ** 2
-    return Means(*(np.diff(found[k], n=2, axis=0)[0] / square for k in (held.TWICE, held.ONCE, held.TWICE_BY_LAG)))
+    before, here, after = _integrals(times, values, begin + HAT * h, lag)[HAT_INTEGRALS].swapaxes(0, 1)
+    return Means(*(((after - here) - (here - before)) / h[:, None] ** 2))
 
 
 def _integrals(times: Floats, values: Matrix, when: Matrix, lag: float) -> Floats:
