@@ -8,7 +8,7 @@ where it is lower.  The pose of a single tag is uncertain along the line of sigh
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -118,7 +118,7 @@ class CameraModel:
         if away < BELOW:
             return pose
         share = self.errors.mean.at(math.hypot(away, height), math.atan2(away, height)) / away
-        return replace(pose, x=pose.x - share * from_x, y=pose.y - share * from_y)
+        return Observation(pose.time, pose.arrival, pose.x - share * from_x, pose.y - share * from_y, pose.theta)
 
     def spread(self, x: float, y: float) -> Matrix:
         """Errors (3, 3) of a pose at a place (m), by those along and across the line of sight and of the heading.
@@ -127,7 +127,10 @@ class CameraModel:
         """
         if self.errors is None:
             return np.eye(3)
-        ((along_x, along_y),), ((along, across, heading),) = self._errors_at(self.errors, np.array([[x, y]]))
+        from_x, from_y = x - self.position[0], y - self.position[1]
+        away = float(np.hypot(from_x, from_y))
+        along_x, along_y = (1.0, 0.0) if away < BELOW else (from_x / away, from_y / away)
+        (along,), (across,), (heading,) = (sizes.tolist() for sizes in self._sizes(self.errors, np.array([away])))
         return np.array(
             [[along * along_x, -across * along_y, 0.0], [along * along_y, across * along_x, 0.0], [0.0, 0.0, heading]]
         )
@@ -139,22 +142,25 @@ class CameraModel:
         """
         if self.errors is None:
             return None
-        directions, sizes = self._errors_at(self.errors, places)
-        frames = np.zeros((len(places), 3, 3))
-        frames[:, 0, :2] = directions / sizes[:, :1]
-        frames[:, 1, 0], frames[:, 1, 1] = -directions[:, 1] / sizes[:, 1], directions[:, 0] / sizes[:, 1]
-        frames[:, 2, 2] = 1.0 / sizes[:, 2]
-        return frames
-
-    def _errors_at(self, errors: PoseErrors, places: Matrix) -> tuple[Matrix, Matrix]:
-        """Directions (n, 2) of lines of sight on the floor; sizes (n, 3) of errors along, across and of the heading."""
         from_camera = places - self.position[:2]
         away = np.hypot(*from_camera.T)
         below = away < BELOW
         directions = np.where(below[:, None], (1.0, 0.0), from_camera / np.where(below, 1.0, away)[:, None])
+        along, across, heading = self._sizes(self.errors, away)
+        frames = np.zeros((len(places), 3, 3))
+        frames[:, 0, :2] = directions / along[:, None]
+        frames[:, 1, 0], frames[:, 1, 1] = -directions[:, 1] / across, directions[:, 0] / across
+        frames[:, 2, 2] = 1.0 / heading
+        return frames
+
+    def _sizes(self, errors: PoseErrors, away: Floats) -> tuple[Floats, Floats, Floats]:
+        """Sizes (n,) of errors along the line of sight, across it and of the heading, `away` (n,) m from the camera.
+
+        That is the distance on the floor.
+        """
         sight = np.hypot(away, self._above), np.arctan2(away, self._above)
         across = np.maximum(LEAST_ACROSS, errors.across.at_each(*sight))
-        return directions, np.column_stack([errors.along.at_each(*sight), across, errors.heading.at_each(*sight)])
+        return errors.along.at_each(*sight), across, errors.heading.at_each(*sight)
 
     @property
     def _above(self) -> float:
