@@ -70,15 +70,16 @@ class CorrelatedFilter(PoseFilter):
         return possible(self.posterior.mean[self._part(FLOOR)])
 
     def set_slope(self, slope: Floats, covariance: Matrix) -> None:
-        """Replace the estimate of the floor's slope by (2,) and its covariance (2, 2), and all that depends on it."""
+        """Replace the estimate of the floor's slope by (2,) and its covariance (2, 2), and all that depends on it.
+
+        Means and covariances change in place: nothing else holds those of the kept posteriors.
+        """
         means = np.array([posterior.mean for posterior in self._posteriors])
         covariances = np.array([posterior.covariance for posterior in self._posteriors])
         work = np.empty((2, means.shape[1]))
         self._fusion.replace(means, covariances, self._sensor.floor, slope, covariance, work)
-        self._posteriors = [
-            replace(posterior, mean=mean, covariance=changed)
-            for posterior, mean, changed in zip(self._posteriors, means, covariances, strict=True)
-        ]
+        for posterior, mean, changed in zip(self._posteriors, means, covariances, strict=True):
+            posterior.mean[:], posterior.covariance[:] = mean, changed
         self._reckoning.reset(self.posterior.time, self.posterior.mean, self._posteriors[0].time)
 
     def _part(self, part: slice) -> Ints:
