@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import Final, Self
 
@@ -86,6 +86,12 @@ class VehicleModel:
         for _ in range(steps):
             self._step(result, held, self._parameters, duration / steps, result)
         return result
+
+    def after_commands(self, state: Floats, held: Iterable[tuple[Floats, float]]) -> Floats:
+        """State (nx,) after controls (nu,) that are held one after the other, each with its duration (s)."""
+        for control, duration in held:
+            state = self.advance(state, control, duration)
+        return state
 
     def linearised(self, states: Matrix, controls: Matrix, durations: Floats) -> tuple[Matrix, Floats, Floats]:
         """States (n, nx) after one step each, and their derivatives by state (n, nx, nx) and control (n, nx, nu).

@@ -38,7 +38,7 @@ class OracleEstimator:
         """
         self._world, self._model, self.horizon = world, model, command_delay
         self._vehicle, self._gap = vehicle, world.gap
-        self._reckoning = DeadReckoning(model.advance, model.rest, start_state)
+        self._reckoning = DeadReckoning(model.after_commands, model.rest, start_state)
 
     def observe(self, observation: Observation) -> None:
         """Ignore the observation."""

@@ -140,7 +140,8 @@ def linearise(mean: Floats, control: Floats, duration: float, motion: Motion, bl
         jacobian[k, k] = left
 
 
-def _predict(mean: Floats, covariance: Matrix, control: Floats, duration: float, motion: Motion, block: Matrix) -> None:
+@part
+def predict(mean: Floats, covariance: Matrix, control: Floats, duration: float, motion: Motion, block: Matrix) -> None:
     """Advance mean (n,) and covariance (n, n) while a control (nu,) is held for `duration` s."""
     size, nx = len(mean), motion.where[AT_NX]
     variance, added = block[6], block[7]
@@ -167,11 +168,18 @@ def _predict(mean: Floats, covariance: Matrix, control: Floats, duration: float,
             covariance[a, b] = total
 
 
-def _advance(mean: Floats, control: Floats, duration: float, motion: Motion, block: Matrix) -> None:
-    """Advance a state (n,) while a control is held for `duration` s."""
-    move(mean, control, duration, motion, block)
-    for k in range(motion.where[AT_NX] + 1, len(mean)):
-        mean[k] *= math.exp(-duration / motion.times[k - motion.where[AT_NX] - 1])
+def _predict(
+    mean: Floats, covariance: Matrix, controls: Matrix, durations: Floats, motion: Motion, block: Matrix
+) -> None:
+    for i in range(len(durations)):
+        predict(mean, covariance, controls[i], durations[i], motion, block)
+
+
+def _advance(mean: Floats, controls: Matrix, durations: Floats, motion: Motion, block: Matrix) -> None:
+    for i in range(len(durations)):
+        move(mean, controls[i], durations[i], motion, block)
+        for k in range(motion.where[AT_NX] + 1, len(mean)):
+            mean[k] *= math.exp(-durations[i] / motion.times[k - motion.where[AT_NX] - 1])
 
 
 def _rate_variance(state: Floats, control: Floats, motion: Motion, block: Matrix, variance: Floats) -> None:
@@ -180,20 +188,25 @@ def _rate_variance(state: Floats, control: Floats, motion: Motion, block: Matrix
 
 @dataclass(frozen=True)
 class Moments:
-    """Compiled functions above that Python calls; `block` has 8 + 2 n rows, as long as a state and the parameters."""
+    """Compiled functions; `block` has 8 + 2 n rows, as long as a state and the parameters.
 
-    predict: Callable[[Floats, Matrix, Floats, float, Motion, Matrix], None]
-    advance: Callable[[Floats, Floats, float, Motion, Matrix], None]
+    `predict(mean, covariance, controls, durations, motion, block)` advances mean (n,) and covariance (n, n), and
+    `advance(mean, controls, durations, motion, block)` the mean alone, while controls (m, nu) are held one after the
+    other for their durations (m,) s.  `rate_variance(state, control, motion, block, variance)` is the function above.
+    """
+
+    predict: Callable[[Floats, Matrix, Matrix, Floats, Motion, Matrix], None]
+    advance: Callable[[Floats, Matrix, Floats, Motion, Matrix], None]
     rate_variance: Callable[[Floats, Floats, Motion, Matrix, Floats], None]
 
 
 @cache
 def moments() -> Moments:
     """The compiled functions; compiled, or loaded from the cache, on the first call."""
-    motion, number = numba_type(Motion), types.float64
+    motion = numba_type(Motion)
     floats, matrix = types.float64[::1], types.float64[:, ::1]
     return Moments(
-        compiled(_predict, signature=types.void(floats, matrix, floats, number, motion, matrix)),
-        compiled(_advance, signature=types.void(floats, floats, number, motion, matrix)),
+        compiled(_predict, signature=types.void(floats, matrix, matrix, floats, motion, matrix)),
+        compiled(_advance, signature=types.void(floats, matrix, floats, motion, matrix)),
         compiled(_rate_variance, signature=types.void(floats, floats, motion, matrix, floats)),
     )

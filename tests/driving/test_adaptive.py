@@ -68,7 +68,7 @@ def squared_errors(settings: Adaptive, share: float, seed: int) -> list[float]:
             if k > 60 and k % 15 == 0:
                 found.append(squared_error(subject, state))
         subject.commanded(k / RATE, exciting(k / RATE))
-        state = motion.advance(state, exciting(k / RATE), 1.0 / RATE)
+        state = motion.advance(state, [(exciting(k / RATE), 1.0 / RATE)])
         state = state + rng.normal(size=5) * spread * math.sqrt(1.0 / RATE)
     return found
 

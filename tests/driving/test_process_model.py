@@ -30,7 +30,7 @@ def jacobian_of(process: ProcessModel, state: Floats, control: Floats) -> Matrix
     """Central differences (size, size) of the motion."""
     columns = []
     for change in 1e-6 * np.eye(process.size):
-        ahead, behind = (process.advance(state + side * change, control, DURATION) for side in (1.0, -1.0))
+        ahead, behind = (process.advance(state + side * change, [(control, DURATION)]) for side in (1.0, -1.0))
         columns.append((ahead - behind) / 2e-6)
     return np.array(columns).T
 
@@ -43,7 +43,7 @@ def test_the_covariance_is_propagated_by_the_derivatives_of_the_motion(name: str
     before = root @ root.T
     mean, covariance = process.predicted(state, before, [(control, DURATION)])
     jacobian = jacobian_of(process, state, control)
-    assert mean == pytest.approx(process.advance(state, control, DURATION), abs=1e-12)
+    assert mean == pytest.approx(process.advance(state, [(control, DURATION)]), abs=1e-12)
     expected = jacobian @ before @ jacobian.T + np.diag(process.variance_rate * DURATION)
     assert covariance == pytest.approx(expected, abs=1e-3 * np.abs(expected).max())
 
@@ -53,7 +53,7 @@ def test_without_excess_and_errors_the_vehicle_moves_as_in_its_model(name: str) 
     process, state, control = process_of(name)
     model, nx = model_of(load_vehicle(name)), len(state) - 4
     state[nx:] = 0.0
-    assert process.advance(state, control, DURATION)[:nx] == pytest.approx(
+    assert process.advance(state, [(control, DURATION)])[:nx] == pytest.approx(
         model.advance(state[:nx], control, DURATION), abs=1e-12
     )
 
@@ -63,7 +63,7 @@ def test_an_excess_of_the_speed_moves_a_car_further_along_its_curve() -> None:
     process, state, control = process_of("mushr-force")
     plain = state.copy()
     plain[-4] = 0.0
-    faster, slower = (process.advance(each, control, DURATION) for each in (state, plain))
+    faster, slower = (process.advance(each, [(control, DURATION)]) for each in (state, plain))
     moved = faster[:3] - slower[:3]
     distance = 0.05 * 2.0 * (1.0 - math.exp(-DURATION / 2.0))
     assert math.hypot(*moved[:2]) == pytest.approx(distance, rel=1e-3)
@@ -79,7 +79,7 @@ def test_an_excess_of_the_speed_of_a_unicycle_moves_it_straight_ahead() -> None:
     process, state, control = process_of("unicycle2")
     plain = state.copy()
     plain[-4] = 0.0
-    faster, slower = (process.advance(each, control, DURATION) for each in (state, plain))
+    faster, slower = (process.advance(each, [(control, DURATION)]) for each in (state, plain))
     moved = faster[:3] - slower[:3]
     heading = 0.5 * (state[2] + slower[2])
     assert math.remainder(math.atan2(moved[1], moved[0]) - heading, math.tau) == pytest.approx(0.0, abs=0.02)
@@ -111,3 +111,14 @@ def test_without_commands_nothing_changes() -> None:
     assert np.array_equal(mean, state)
     assert np.array_equal(after, covariance)
     assert mean is not state, "the result is a copy"
+
+
+def test_commands_that_follow_each_other_act_as_if_each_was_predicted_alone() -> None:
+    process, state, control = process_of("mushr-force")
+    held = [(control, DURATION), (-0.5 * control, 0.03), (0.2 * control, 0.07)]
+    single, mean, covariance = state, state, np.eye(process.size)
+    for command in held:
+        single = process.advance(single, [command])
+        mean, covariance = process.predicted(mean, covariance, [command])
+    assert np.array_equal(process.advance(state, held), single)
+    assert all(map(np.array_equal, process.predicted(state, np.eye(process.size), held), (mean, covariance)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -18,8 +18,10 @@ from kraft.vehicles import DELAY_MAX
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
-Advance = Callable[[Floats, Floats, float], Floats]
-"""Function from a state (nx,), a control (nu,) and a duration (s) to the next state (nx,)."""
+Held = Sequence[tuple[Floats, float]]
+"""Controls (nu,) that are held one after the other, each with its duration (s)."""
+Advance = Callable[[Floats, Held], Floats]
+"""Function from a state (nx,) to the state (nx,) after held controls."""
 
 
 class Commands:
@@ -43,16 +45,17 @@ class Commands:
         self._times.append(time)
         self._controls.append(control.copy())
 
-    def between(self, begin: float, end: float) -> Iterator[tuple[Floats, float]]:
+    def between(self, begin: float, end: float) -> Held:
         """Controls that act from `begin` to `end` (s), each with its duration (s)."""
         begin, end = begin - self.delay, end - self.delay
         if begin < self._times[0]:
             raise ValueError(f"the commands before {self._times[0]} s are forgotten, {begin} s is asked for")
-        k = bisect_right(self._times, begin) - 1
+        k, held = bisect_right(self._times, begin) - 1, []
         while begin < end:
             until = min(self._times[k + 1], end) if k + 1 < len(self._times) else end
-            yield self._controls[k], until - begin
+            held.append((self._controls[k], until - begin))
             begin, k = until, k + 1
+        return held
 
     def forget(self, before: float) -> None:
         """Drop the commands that are not needed for times from `before` (s) on, whatever the delay."""
@@ -98,9 +101,7 @@ class DeadReckoning:
 
     def propagate(self, state: Floats, begin: float, end: float) -> Floats:
         """State (nx,) at `end` (s) predicted from any `state` at `begin` (s), as far back as commands are kept."""
-        for control, duration in self.commands.between(begin, end):
-            state = self._advance(state, control, duration)
-        return state
+        return self._advance(state, self.commands.between(begin, end))
 
 
 def require_finite(observation: Observation) -> None:
@@ -129,7 +130,7 @@ class LatestPose:
 
     def __init__(self, settings: Latest, model: VehicleModel, start_state: Floats) -> None:
         self._model = model
-        self._reckoning = DeadReckoning(model.advance, model.rest, start_state)
+        self._reckoning = DeadReckoning(model.after_commands, model.rest, start_state)
         self._newest_time = -math.inf
         self._window = settings.replanning_window
         self._window_poses: deque[tuple[float, Floats]] = deque()

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from kraft.driving.estimation.dead_reckoning import DeadReckoning, require_finite
+from kraft.driving.estimation.dead_reckoning import DeadReckoning, Held, require_finite
 from kraft.driving.messages import Estimate, Observation, PoseBelief
 from kraft.driving.method import Adaptive, Filter
 from kraft.driving.vehicle_model import VehicleModel
@@ -84,25 +83,25 @@ class ProcessModel:
         self._block = np.zeros((8 + 2 * self.size, max(self.size, len(model.parameters))))
         self._moments = moments()
 
-    def advance(self, state: Floats, control: Floats, duration: float) -> Floats:
-        """State (size,) after holding a control (nu,) for `duration` s."""
+    def advance(self, state: Floats, held: Held) -> Floats:
+        """State (size,) after controls (nu,), each with its duration (s)."""
         after = np.array(state, dtype=np.float64)
-        self._moments.advance(after, _contiguous(control), duration, self._motion, self._block)
+        if held:
+            self._moments.advance(after, *_arrays(held), self._motion, self._block)
         return after
 
-    def predicted(
-        self, mean: Floats, covariance: Matrix, commands: Iterable[tuple[Floats, float]]
-    ) -> tuple[Floats, Matrix]:
+    def predicted(self, mean: Floats, covariance: Matrix, held: Held) -> tuple[Floats, Matrix]:
         """Mean (size,) and covariance (size, size) after controls (nu,), each with its duration (s)."""
         mean, covariance = mean.copy(), covariance.copy()
-        for control, duration in commands:
-            self._moments.predict(mean, covariance, _contiguous(control), duration, self._motion, self._block)
+        if held:
+            self._moments.predict(mean, covariance, *_arrays(held), self._motion, self._block)
         return mean, covariance
 
     def rate_variance(self, state: Floats, control: Floats) -> Floats:
         """Variance (nx,) of the derivative of the vehicle's state by the uncertainty of the parameters."""
         variance = np.empty(len(self.same))
-        self._moments.rate_variance(state, _contiguous(control), self._motion, self._block, variance)
+        held = np.ascontiguousarray(control, dtype=np.float64)
+        self._moments.rate_variance(state, held, self._motion, self._block, variance)
         return variance
 
     @property
@@ -119,8 +118,10 @@ class ProcessModel:
         )
 
 
-def _contiguous(control: Floats) -> Floats:
-    return np.ascontiguousarray(control, dtype=np.float64)
+def _arrays(held: Held) -> tuple[Matrix, Floats]:
+    """Controls (m, nu) and their durations (m,), s."""
+    controls, durations = zip(*held, strict=True)
+    return np.array(controls, dtype=np.float64), np.array(durations)
 
 
 class PoseFilter:
