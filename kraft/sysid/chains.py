@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -42,7 +43,7 @@ class Segment:
     resting: bool
     """whether the part begins at rest, so that no control acted before its first command"""
 
-    @property
+    @cached_property
     def times(self) -> Floats:
         """(steps + 1,) of the states, s."""
         times: Floats = self.begin + self.h * np.arange(self.steps + 1, dtype=np.float64)

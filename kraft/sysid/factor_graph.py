@@ -71,6 +71,7 @@ class FastGraph:
         led, jacobian = p.dynamics.linearise(x, point.controls, point.rho, chains.h)
         mean, slopes = p.actuators.mean(point.rho)
         residuals, by_state, by_rho = p.linearised_poses(point)
+        distance = noise.distance(residuals)
         self.point = point
         self._graph = Graph(
             first=chains.first,
@@ -85,12 +86,12 @@ class FastGraph:
             pose=residuals,
             pose_state=by_state,
             pose_rho=by_rho,
-            weight=noise.weights(residuals),
+            weight=noise.weights(distance),
             pose_information=noise.pose_sigmas**-2.0,
             process=noise.process**2,
             control_variance=noise.control**2,
         )
-        return p.cost_of(self._graph.dynamics, self._graph.control, residuals, point.rho)
+        return p.cost_of(self._graph.dynamics, self._graph.control, distance, point.rho)
 
     def reduce(self, damping: float) -> RhoFactors:
         """Eliminate controls and states; `damping` raises the information of the states by that share."""
@@ -133,7 +134,7 @@ class FastGraph:
             dynamics=graph.dynamics[step:], jacobian=graph.jacobian[step:],
             control=graph.control[step:], command=graph.command[step:],
             pose=residuals, pose_state=graph.pose_state[pose:], pose_rho=graph.pose_rho[pose:],
-            weight=noise.weights(residuals), pose_information=noise.pose_sigmas**-2.0,
+            weight=noise.weights(noise.distance(residuals)), pose_information=noise.pose_sigmas**-2.0,
         )  # fmt: skip
         out = allocate(len(newest.h), int(newest.first[-1]), 1, self.problem.dynamics.nx, len(self.point.rho))
         eliminate(newest, 0.0, out)

@@ -237,7 +237,7 @@ class MultiStep:
 
     def _misfit(self, off: Floats) -> Floats:
         """(W,) mean squared residual of each window in standard deviations, outliers limited."""
-        misfit: Floats = 2.0 * self.noise.losses(off, self.sigmas).sum(axis=1) / self._counts
+        misfit: Floats = 2.0 * self.noise.losses(self.noise.distance(off, self.sigmas)).sum(axis=1) / self._counts
         return misfit
 
     def linearise(self, point: Point, again: bool = True) -> None:
@@ -291,7 +291,7 @@ class MultiStep:
     def _squares(self) -> Floats:
         """(W, unknowns + 1, unknowns + 1) sums of weighted products of the derivatives, the last being residuals."""
         trust = (MISFIT_FREEDOM + 1.0) / (MISFIT_FREEDOM + self._misfit(self._off))
-        weight = trust[:, None] * self.noise.weights(self._off, self.sigmas) * self.windows.seen
+        weight = trust[:, None] * self.noise.weights(self.noise.distance(self._off, self.sigmas)) * self.windows.seen
         root = np.sqrt(weight)[..., None] / self.sigmas
         size, count = len(self._slopes), len(root)
 

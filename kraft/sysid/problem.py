@@ -10,6 +10,7 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
@@ -148,7 +149,7 @@ class NoiseModel:
     threshold: float
     """Mahalanobis distance of a pose above which its weight decreases; inf for no robust loss"""
 
-    @property
+    @cached_property
     def pose_sigmas(self) -> Floats:
         """(3,) x, y, yaw."""
         return np.array([self.noise.position, self.noise.position, self.noise.yaw])
@@ -158,20 +159,15 @@ class NoiseModel:
         distance: Floats = np.sqrt(np.sum((residuals / (self.pose_sigmas if sigmas is None else sigmas)) ** 2, axis=-1))
         return distance
 
-    def weights(self, residuals: Floats, sigmas: Floats | None = None) -> Floats:
-        """(...) weight of each pose by the Huber loss: 1 up to the threshold, then decreasing with the distance."""
+    def weights(self, distance: Floats) -> Floats:
+        """Weight of poses at a `distance` (...) by the Huber loss: 1 up to the threshold, then decreasing with it."""
         if not self.robust:
-            return np.ones(residuals.shape[:-1])
-        weights: Floats = self.threshold / np.maximum(self.distance(residuals, sigmas), self.threshold)
+            return np.ones_like(distance)
+        weights: Floats = self.threshold / np.maximum(distance, self.threshold)
         return weights
 
-    def loss(self, residuals: Floats) -> float:
-        """Sum of the Huber losses."""
-        return float(np.sum(self.losses(residuals)))
-
-    def losses(self, residuals: Floats, sigmas: Floats | None = None) -> Floats:
-        """(...) Huber loss of each pose: half the squared distance up to the threshold, then linear."""
-        distance = self.distance(residuals, sigmas)
+    def losses(self, distance: Floats) -> Floats:
+        """Huber loss of poses at a `distance` (...): half of its square up to the threshold, then linear."""
         inside = np.minimum(distance, self.threshold)
         losses: Floats = inside * (distance - 0.5 * inside)
         return losses
@@ -267,20 +263,20 @@ class Problem:
 
     def cost(self, point: Point) -> float:
         """Cost of a point."""
-        return self.cost_of(
-            self.dynamics_residuals(point), self.control_residuals(point), self.pose_residuals(point), point.rho
-        )
+        distance = self.noise.distance(self.pose_residuals(point))
+        return self.cost_of(self.dynamics_residuals(point), self.control_residuals(point), distance, point.rho)
 
-    def cost_of(self, dynamics: Matrix, control: Matrix, pose: Matrix, rho: Floats) -> float:
+    def cost_of(self, dynamics: Matrix, control: Matrix, distance: Floats, rho: Floats) -> float:
         """Half of the sum of squared residuals in standard deviations, with the robust loss for poses.
 
-        Of the residuals (N, nx) of the dynamics, (N, nu) of the controls and (n, 3) of the poses, and of rho (np,).
+        Of the residuals (N, nx) of the dynamics and (N, nu) of the controls, the distances (n,) of the poses, see
+        `NoiseModel.distance`, and rho (np,).
         """
         variance = self.noise.process**2 * self.chains.h[:, None]
         squares = np.sum(dynamics**2 / variance)
         squares += np.sum((control / self.noise.control) ** 2)
         squares += np.sum(self.prior_residuals(rho) ** 2)
-        return float(0.5 * squares) + self.noise.loss(pose)
+        return float(0.5 * squares) + float(np.sum(self.noise.losses(distance)))
 
 
 def assemble(segments: Sequence[Segment], logs: int, parameters: Parameters, noise: NoiseModel) -> Problem:

@@ -111,7 +111,7 @@ def _estimated(solution: SolvedProblem) -> dict[str, ParameterEstimate]:
 def _log_fits(solution: SolvedProblem) -> tuple[LogFit, ...]:
     problem, point, chains = solution.problem, solution.optimum.point, solution.problem.chains
     fitted = problem.observation.predict(problem.at_poses(point.states), point.rho)
-    weights = problem.noise.weights(problem.pose_residuals(point))
+    weights = problem.noise.weights(problem.noise.distance(problem.pose_residuals(point)))
     parts: list[list[PartFit]] = [[] for _ in solution.logs]
     step, pose = 0, 0
     for c, segment in enumerate(chains.segments):

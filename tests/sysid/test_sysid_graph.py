@@ -160,7 +160,7 @@ def test_the_paper_graph_weighs_poses_in_the_same_frames() -> None:
 
 def test_reweighted_gradients_are_those_of_the_robust_cost() -> None:
     problem, point = small_problem(robust=1.345)
-    assert problem.noise.weights(problem.pose_residuals(point)).min() < 0.5
+    assert problem.noise.weights(problem.noise.distance(problem.pose_residuals(point))).min() < 0.5
     graph = FastGraph(problem)
     for _ in range(40):  # states and controls at their best for this rho
         graph.linearise(point)

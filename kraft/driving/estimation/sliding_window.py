@@ -192,9 +192,10 @@ class SlidingWindow:
         since, total = (sum(max(0.0, last - max(first, t)) for first, last in moving) for t in (begin, -math.inf))
         if not RECENT - ROUNDING <= since <= min(self._length, total) - EARLIER:
             return None
-        brief, long = (graph.since(begin - AROUND_MOTION, self._noise_model(noise(each))) for each in (since, math.inf))
+        brief = graph.since(begin - AROUND_MOTION, self._noise_model(noise(since)))
         if brief.poses < POSES_MIN:
             return None
+        long = graph.since(begin - AROUND_MOTION, graph.problem.noise)
         free, square = self.parameters.free, np.ix_(*2 * (self.parameters.free,))
         with_brief, shift = np.zeros_like(covariance), np.zeros_like(self.rho)
         with_brief[square] = np.linalg.inv(
