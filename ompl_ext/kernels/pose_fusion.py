@@ -60,8 +60,13 @@ def seen_place(camera: Floats, x: float, y: float, floor: Floats) -> tuple[float
 @part
 def see(camera: Floats, inputs: Floats, seen: Floats) -> None:
     """Write the measured pose (3,) for a pose and a floor, (5,) together; the heading stays within half a turn."""
+    see_points(camera, inputs, HALF_LENGTH * math.cos(inputs[2]), HALF_LENGTH * math.sin(inputs[2]), seen)
+
+
+@part
+def see_points(camera: Floats, inputs: Floats, along: float, across: float, seen: Floats) -> None:
+    """Write the same by two points that are `along`, `across` (m) before and behind the vehicle on its heading."""
     floor, theta = inputs[3:], inputs[2]
-    along, across = HALF_LENGTH * math.cos(theta), HALF_LENGTH * math.sin(theta)
     front_x, front_y = seen_place(camera, inputs[0] + along, inputs[1] + across, floor)
     rear_x, rear_y = seen_place(camera, inputs[0] - along, inputs[1] - across, floor)
     turned = math.atan2(front_y - rear_y, front_x - rear_x) - theta
@@ -72,13 +77,16 @@ def see(camera: Floats, inputs: Floats, seen: Floats) -> None:
 @part
 def linearise(camera: Floats, inputs: Floats, seen: Floats, jacobian: Matrix, work: Matrix) -> None:
     """Write the measured pose (3,), and its derivatives (3, 5) by pose and floor; `inputs` (5,) are these."""
-    see(camera, inputs, seen)
+    along, across = HALF_LENGTH * math.cos(inputs[2]), HALF_LENGTH * math.sin(inputs[2])
+    see_points(camera, inputs, along, across, seen)
     for k in range(INPUTS):
         value = inputs[k]
-        inputs[k] = value + DIFFERENCE
-        see(camera, inputs, work[0])
-        inputs[k] = value - DIFFERENCE
-        see(camera, inputs, work[1])
+        for side in range(2):
+            inputs[k] = value + DIFFERENCE if side == 0 else value - DIFFERENCE
+            if k == 2:
+                see(camera, inputs, work[side])
+            else:
+                see_points(camera, inputs, along, across, work[side])
         inputs[k] = value
         for row in range(3):
             jacobian[row, k] = (work[0, row] - work[1, row]) / (2.0 * DIFFERENCE)
