@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ompl_ext.arrays import Floats, Ints, Matrix
-from ompl_ext.jit import cache_folder, compiled, part
+from ompl_ext.jit import cache_folder, compiled, inlined
 
 TINY = 1e-12
 """Added to the information of each state, so that a component without information does not make it singular."""
@@ -72,7 +72,7 @@ def allocate(steps: int, states: int, logs: int, nx: int, np_: int) -> Eliminate
     )
 
 
-@part
+@inlined
 def factorise(a: Matrix, n: int) -> None:
     """Lower Cholesky factor of a (n, n) in place."""
     for j in range(n):
@@ -85,7 +85,7 @@ def factorise(a: Matrix, n: int) -> None:
             a[i, j] /= a[j, j]
 
 
-@part
+@inlined
 def solve(factor: Matrix, n: int, b: Matrix, columns: int) -> None:
     """Solve for `columns` of b in place, given the Cholesky factor."""
     for i in range(n):
@@ -102,7 +102,7 @@ def solve(factor: Matrix, n: int, b: Matrix, columns: int) -> None:
             b[i, c] /= factor[i, i]
 
 
-@part
+@inlined
 def fold_control(i: int, g: Graph, out: Eliminated) -> None:
     """Eliminate the control of step i: fix it at the command, and add its noise to that of the dynamics."""
     nx, nu, own = g.dynamics.shape[1], g.control.shape[1], g.jacobian.shape[2]
@@ -128,7 +128,7 @@ def fold_control(i: int, g: Graph, out: Eliminated) -> None:
                 out.by_rho[i, a, r] += g.jacobian[i, a, nx + k] * g.command[i, k, r]
 
 
-@part
+@inlined
 def weigh(i: int, g: Graph, out: Eliminated) -> None:
     """Information times the derivatives by state (scratch 1), by rho, and the residual (scratch 2, last column)."""
     nx, np_ = out.left.shape[1], out.by_rho.shape[2]
@@ -146,7 +146,7 @@ def weigh(i: int, g: Graph, out: Eliminated) -> None:
             weighted_p[a, np_] += w[a, b] * out.left[i, b]
 
 
-@part
+@inlined
 def add_dynamics(i: int, s: int, log: int, g: Graph, out: Eliminated) -> None:
     """Add step i, from state s to s + 1: columns -F, I, -P with F and P the derivatives by state and rho."""
     nx, np_ = out.left.shape[1], out.by_rho.shape[2]
@@ -173,7 +173,7 @@ def add_dynamics(i: int, s: int, log: int, g: Graph, out: Eliminated) -> None:
                 out.information[log, r, q] += out.by_rho[i, b, r] * weighted_p[b, q]
 
 
-@part
+@inlined
 def add_pose_to_states(j: int, row: int, s: int, g: Graph, out: Eliminated) -> None:
     """Add one row of pose j to states s and s + 1, between which it was seen."""
     nx, np_ = out.left.shape[1], out.by_rho.shape[2]
@@ -191,7 +191,7 @@ def add_pose_to_states(j: int, row: int, s: int, g: Graph, out: Eliminated) -> N
         out.solved[s + 1, a, nx + np_] += there * slope * g.pose[j, row]
 
 
-@part
+@inlined
 def add_pose(j: int, s: int, log: int, g: Graph, out: Eliminated) -> None:
     """Add pose j, seen between states s and s + 1; it depends on few of the parameters."""
     nx, np_ = out.left.shape[1], out.by_rho.shape[2]
@@ -213,7 +213,7 @@ def add_pose(j: int, s: int, log: int, g: Graph, out: Eliminated) -> None:
                 out.information[log, r, q] += slope * g.pose_rho[j, row, q]
 
 
-@part
+@inlined
 def eliminate_state(s: int, last: bool, log: int, damping: float, out: Eliminated) -> None:
     """Eliminate state s onto the next one (if there is one) and rho."""
     nx, np_ = out.left.shape[1], out.by_rho.shape[2]
@@ -259,7 +259,7 @@ def _eliminate(g: Graph, damping: float, out: Eliminated) -> None:
                 out.information[log, r, q] = out.information[log, q, r]
 
 
-@part
+@inlined
 def deviation(i: int, s: int, g: Graph, out: Eliminated, rho: Floats, states: Matrix, controls: Matrix) -> None:
     """Change of the deviation of step i's control: to zero, then what it takes to lead from state s to the next."""
     nx, nu = g.dynamics.shape[1], g.control.shape[1]
