@@ -27,10 +27,6 @@ if TYPE_CHECKING:
     from kraft.logs.log import Part
 
 
-HAT = np.array([[-0.5], [0.5], [1.5]])
-"""Times of a hat function in steps from the begin of the step that it stands for."""
-HAT_INTEGRALS = [held.TWICE, held.ONCE, held.TWICE_BY_LAG]
-"""Integrals whose second differences are the mean weighted with it, and its derivatives by time and by lag."""
 SPLIT_MIN = 0.01
 """Least share of a step that is split off."""
 POSE_SPLIT_MIN = 0.07
@@ -51,7 +47,7 @@ class ActuatorModel:
             [k for name in ("delay", f"delay_{control}") if (k := parameters.auxiliary_index(name)) >= 0]
             for control in self._controls
         ]
-        self._drives = _drives(segments)
+        self._drives = _drives(segments, self._rest)
         self._last: tuple[bytes, Matrix, Floats] | None = None
         self._lags = [parameters.auxiliary_index(f"lag_{control}") for control in self._controls]
         self._dead_bands = [parameters.auxiliary_index(f"dead_band_{control}") for control in self._controls]
@@ -130,8 +126,7 @@ class ActuatorModel:
 
     def _commanded(self, drive: _Drive, controls: Sequence[int]) -> tuple[Floats, Matrix]:
         """Times (n,) of the commands, and values (n + 1, m) of m controls before the first and from each on."""
-        times, values = drive.part.command_times, drive.part.commands[:, controls]
-        return times, np.vstack([self._rest[controls] if drive.resting else values[0], values])
+        return drive.part.command_times, drive.values[:, controls]
 
     def _moved(self, drive: _Drive, controls: Sequence[int], rho: Floats) -> tuple[Floats, Matrix, dict[int, Matrix]]:
         """As `_commanded`, but behind play and dead band of controls that are alike; derivatives by index of rho."""
@@ -200,7 +195,8 @@ class _Drive:
     """The n steps of all segments of one part that begin alike: their signals are integrated together."""
 
     part: Part
-    resting: bool
+    values: Matrix
+    """(commands + 1, nu) before the first command and from each on"""
     rows: Ints
     """(n,) indices of the steps among all"""
     begin: Floats
@@ -218,16 +214,16 @@ def _pose_within(segment: Segment) -> Floats:
     return within
 
 
-def _drives(segments: Sequence[Segment]) -> list[_Drive]:
-    """Steps of some segments by part, and by whether no control acted before its first command."""
+def _drives(segments: Sequence[Segment], rest: Floats) -> list[_Drive]:
+    """Steps of some segments by part, and by whether the control `rest` (nu,) acted before its first command."""
     first = np.concatenate([[0], np.cumsum([s.steps for s in segments])])
     alike: dict[tuple[int, bool], list[int]] = {}
     for i, segment in enumerate(segments):
         alike.setdefault((id(segment.part), segment.resting), []).append(i)
     return [
         _Drive(
-            segments[own[0]].part,
-            resting,
+            (part := segments[own[0]].part),
+            np.vstack([rest if resting else part.commands[0], part.commands]),
             np.concatenate([np.arange(first[i], first[i + 1]) for i in own]),
             np.concatenate([segments[i].times[:-1] for i in own]),
             np.concatenate([np.full(segments[i].steps, segments[i].h) for i in own]),
@@ -263,13 +259,21 @@ def box_means(times: Floats, values: Matrix, begin: Floats, h: Floats) -> Means:
 
 def hat_means(times: Floats, values: Matrix, begin: Floats, h: Floats, lag: float) -> Means:
     """Means weighted with a hat function that reaches half a step beyond each step; `lag` is in s."""
-    before, here, after = _integrals(times, values, begin + HAT * h, lag)[HAT_INTEGRALS].swapaxes(0, 1)
-    return Means(*(((after - here) - (here - before)) / h[:, None] ** 2))
+    knots, columns = _knots(times, float((begin - 0.5 * h).min())), values.shape[1]
+    memory, work = np.empty((held.MEMORY, *values.shape)), np.empty((3, held.RESULTS, columns))
+    means = np.empty((held.MEANS, len(begin), columns))
+    held.hat_means()(knots, np.ascontiguousarray(values), begin, h, lag, memory, work, means)
+    return Means(*means)
+
+
+def _knots(times: Floats, first: float) -> Floats:
+    """Times (n + 1,) from which the signals of n `times` are held, of which the first is before `first` (s)."""
+    return np.concatenate([[min(float(times[0]), first) - 1.0], times])
 
 
 def _integrals(times: Floats, values: Matrix, when: Matrix, lag: float) -> Floats:
     """Results (5, j, n, m) of `held_signals` at some times (j, n), of signals with values[i] (m,) before times[i]."""
-    knots = np.concatenate([[min(times[0], when.min()) - 1.0], times])
+    knots = _knots(times, float(when.min()))
     memory, out = np.empty((held.MEMORY, *values.shape)), np.empty((held.RESULTS, when.size, values.shape[1]))
     held.integrate()(knots, np.ascontiguousarray(values), when.ravel(), lag, memory, out)
     return out.reshape(held.RESULTS, *when.shape, values.shape[1])

@@ -18,6 +18,10 @@ LAG_MIN = 1e-6  # lag below which a signal follows at once (s)
 NOW, ONCE, TWICE, ONCE_BY_LAG, TWICE_BY_LAG = range(5)
 RESULTS = 5
 
+# Indices of the means, and of their derivatives
+MEAN, BY_TIME, BY_LAG = range(3)
+MEANS = 3
+
 # Indices of the working memory, at the times from which signals are held: first and second integrals of the signals,
 # the lagged ones less the held ones, and the derivative of this by the lag
 HELD_ONCE, HELD_TWICE, BEHIND, SLOPE = range(4)
@@ -70,6 +74,42 @@ def _integrate(times: Floats, values: Matrix, at: Floats, lag: float, memory: Cu
         k = count_until(times, 0, len(times), at[i]) - 1
         for column in range(values.shape[1]):
             evaluate(k, at[i] - times[k], at[i] - times[0], column, lag, values, memory, out[:, i])
+
+
+def _hat_means(
+    times: Floats, values: Matrix, begin: Floats, h: Floats, lag: float, memory: Cube, work: Cube, means: Cube
+) -> None:
+    for column in range(values.shape[1]):
+        accumulate(times, values, column, lag, memory)
+    for i in range(len(begin)):
+        for part_of_hat in range(3):
+            at = begin[i] + (part_of_hat - 0.5) * h[i]
+            k = count_until(times, 0, len(times), at) - 1
+            for column in range(values.shape[1]):
+                evaluate(k, at - times[k], at - times[0], column, lag, values, memory, work[part_of_hat])
+        for column in range(values.shape[1]):
+            means[MEAN, i, column] = second_difference(TWICE, column, work) / (h[i] * h[i])
+            means[BY_TIME, i, column] = second_difference(ONCE, column, work) / (h[i] * h[i])
+            means[BY_LAG, i, column] = second_difference(TWICE_BY_LAG, column, work) / (h[i] * h[i])
+
+
+@part
+def second_difference(result: int, column: int, work: Cube) -> float:
+    """Second difference of a result at the three times of a hat function."""
+    before, here, after = work[0, result, column], work[1, result, column], work[2, result, column]
+    return (after - here) - (here - before)
+
+
+@cache
+def hat_means() -> Callable[[Floats, Matrix, Floats, Floats, float, Cube, Cube, Cube], None]:
+    """The compiled function; its arguments are `times`, `values`, `begin`, `h`, `lag`, `memory`, `work` and `means`.
+
+    `means` (3, n, m) receives the means of the signals of `integrate` over steps of `h` (n,) s from `begin` (n,),
+    weighted with a hat function that reaches half a step beyond each step, and their derivatives by a shift of all
+    times and by the lag.  `work` is (3, 5, m).
+    """
+    floats, matrix, cube = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
+    return compiled(_hat_means, signature=types.void(floats, matrix, floats, floats, types.float64, cube, cube, cube))
 
 
 @cache
