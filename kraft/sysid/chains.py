@@ -125,5 +125,5 @@ def chains_of(segments: Sequence[Segment], logs: int) -> Chains:
 def pose_steps(segment: Segment) -> tuple[Ints, Floats]:
     """Step and share of the step of each pose of a segment."""
     since = (segment.part.pose_times[segment.poses] - segment.begin) / segment.h
-    step = np.clip(np.floor(since + 1e-9), 0, segment.steps - 1).astype(np.int64)
-    return step, np.clip(since - step, 0.0, 1.0)
+    step = np.minimum(np.maximum(np.floor(since + 1e-9), 0.0), segment.steps - 1.0).astype(np.int64)
+    return step, np.minimum(np.maximum(since - step, 0.0), 1.0)

@@ -171,13 +171,13 @@ class RhoFactors:
     @cached_property
     def total_information(self) -> Matrix:
         """(np, np)"""
-        total: Matrix = np.sum(self.information, axis=0) + np.diag(self.prior_information)
+        total: Matrix = self.information.sum(axis=0) + np.diag(self.prior_information)
         return total
 
     @cached_property
     def total_gradient(self) -> Floats:
         """(np,)"""
-        total: Floats = np.sum(self.gradient, axis=0) + self.prior_gradient
+        total: Floats = self.gradient.sum(axis=0) + self.prior_gradient
         return total
 
     def decrease(self, change: Floats) -> float:

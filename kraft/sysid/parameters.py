@@ -113,7 +113,7 @@ class Parameters:
 
     def within_bounds(self, rho: Floats) -> Floats:
         """Values (np,) clipped to the bounds, which rounding errors may exceed: low + (high - low) may exceed high."""
-        clipped: Floats = np.clip(rho, self.low, self.high)
+        clipped: Floats = np.minimum(np.maximum(rho, self.low), self.high)
         return clipped
 
     def model_values(self, rho: Floats) -> Floats:

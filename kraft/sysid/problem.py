@@ -156,7 +156,7 @@ class NoiseModel:
 
     def distance(self, residuals: Floats, sigmas: Floats | None = None) -> Floats:
         """Mahalanobis distances (...) of pose residuals (..., 3); `sigmas` (..., 3) in place of those of the poses."""
-        distance: Floats = np.sqrt(np.sum((residuals / (self.pose_sigmas if sigmas is None else sigmas)) ** 2, axis=-1))
+        distance: Floats = np.sqrt(((residuals / (self.pose_sigmas if sigmas is None else sigmas)) ** 2).sum(axis=-1))
         return distance
 
     def weights(self, distance: Floats) -> Floats:
@@ -273,10 +273,10 @@ class Problem:
         `NoiseModel.distance`, and rho (np,).
         """
         variance = self.noise.process**2 * self.chains.h[:, None]
-        squares = np.sum(dynamics**2 / variance)
-        squares += np.sum((control / self.noise.control) ** 2)
-        squares += np.sum(self.prior_residuals(rho) ** 2)
-        return float(0.5 * squares) + float(np.sum(self.noise.losses(distance)))
+        squares = (dynamics**2 / variance).sum()
+        squares += ((control / self.noise.control) ** 2).sum()
+        squares += (self.prior_residuals(rho) ** 2).sum()
+        return float(0.5 * squares) + float(self.noise.losses(distance).sum())
 
 
 def assemble(segments: Sequence[Segment], logs: int, parameters: Parameters, noise: NoiseModel) -> Problem:
