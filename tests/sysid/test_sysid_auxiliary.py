@@ -12,12 +12,13 @@ from benchmarks.synthetic_logs import CommandSeries, random_commands, synthetic_
 from benchmarks.sysid import TRUTH
 from kraft.errors import Code, InputError
 from kraft.sysid import Identification, Settings, identify, prediction_errors
-from kraft.sysid.actuators import hat_means, through_play
+from kraft.sysid.actuators import _integrals, hat_means, through_play
 from kraft.sysid.dynamics import DiscreteModel, Dynamics
 from kraft.sysid.parameters import auxiliary_parameters, parameters_of, vehicle_of
 from kraft.sysid.problem import ObservationModel
 from kraft.sysid.selection import check_free_parameters, selection_note
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
+from ompl_ext.kernels import held_signals as held
 from ompl_ext.trigonometry import cos, sin
 from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
@@ -51,6 +52,17 @@ def test_means_of_a_lagging_signal_are_those_of_its_equation(lag: float) -> None
     shifted = (hat_means(times, values, at[:-1] + change, np.full(30, h), lag).values for change in (-1e-6, 1e-6))
     by_time = np.diff(list(shifted), axis=0)[0] / 2e-6
     assert found.by_time == pytest.approx(by_time, abs=1e-4 * np.abs(by_time).max())
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.08])
+def test_means_weighted_with_a_hat_are_second_differences_of_integrals(lag: float) -> None:
+    rng = np.random.default_rng(1)
+    times, values = np.cumsum(rng.uniform(0.01, 0.3, 12)), rng.normal(size=(13, 2))
+    begin, h = np.sort(rng.uniform(0.2, 1.5, 20)), rng.uniform(0.04, 0.06, 20)
+    integrals = _integrals(times, values, begin + np.array([[-0.5], [0.5], [1.5]]) * h, lag)
+    found = hat_means(times, values, begin, h, lag)
+    for k, means in ((held.TWICE, found.values), (held.ONCE, found.by_time), (held.TWICE_BY_LAG, found.by_lag)):
+        assert np.array_equal(means, np.diff(integrals[k], n=2, axis=0)[0] / h[:, None] ** 2)
 
 
 def test_a_lag_of_nothing_starts_like_a_delay() -> None:

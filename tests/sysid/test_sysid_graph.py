@@ -149,6 +149,15 @@ def test_one_step_of_the_fast_graph_is_that_of_the_dense_problem(framed: bool) -
     assert factors.total_information == pytest.approx(information, rel=1e-3, abs=1e-3 * np.abs(information).max())
 
 
+@pytest.mark.parametrize("framed", [False, True])
+def test_the_residuals_and_the_cost_of_the_fast_graph_are_those_of_the_problem(framed: bool) -> None:
+    problem, point = small_problem(robust=1.345)
+    problem = replace(problem, frames=frames_of(problem) if framed else None)
+    graph = FastGraph(problem)
+    assert graph.linearise(point) == pytest.approx(problem.cost(point), rel=1e-12)
+    assert np.array_equal(graph.pose_residuals, problem.pose_residuals(point))
+
+
 def test_the_paper_graph_weighs_poses_in_the_same_frames() -> None:
     problem, point = small_problem()
     problem = replace(problem, frames=frames_of(problem))
