@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ompl_ext.arrays import Bools, Floats, Matrix
+from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.fine_field import raise_to_fine
@@ -93,13 +93,12 @@ class EdgeChecker:
         brake = self._memory.brake
         brake.source[:] = state
         self._search.brake(self._problem, self._memory.work, brake, math.inf)
-        trajectory = brake.trajectory.reshape(-1, len(self.vehicle.state), LANE_WIDTH)
-        found = []
-        for number in range(len(self.vehicle.manoeuvres)):
-            resting = self.safety.is_resting(self.vehicle, trajectory[:, :, number])
-            samples = int(np.argmax(resting)) + 1 if resting.any() else len(trajectory)
-            found.append(trajectory[:samples, :, number].copy())
-        return found
+        count = len(self.vehicle.manoeuvres)
+        trajectory = brake.trajectory.reshape(-1, len(self.vehicle.state), LANE_WIDTH)[:, :, :count]
+        states = np.ascontiguousarray(trajectory.transpose(2, 0, 1))
+        resting = self.safety.is_resting(self.vehicle, states)
+        samples = np.where(resting.any(axis=1), resting.argmax(axis=1) + 1, len(trajectory)).tolist()
+        return [states[number, : samples[number]] for number in range(count)]
 
     def edge(
         self, state: Floats, control: Floats, duration: float, start_time: float = math.inf
@@ -145,17 +144,16 @@ class EdgeChecker:
     @contextmanager
     def with_clearance_until(self, seconds: float) -> Iterator[None]:
         """Let edges that begin before `seconds` s keep delta(t, v), instead of those before the end of the cycle."""
-        cycle = self.safety.cycle
-        self.set_cycle(seconds)
+        self._problem.scalar[at.CYCLE] = seconds
         try:
             yield
         finally:
-            self.set_cycle(cycle)
+            self._problem.scalar[at.CYCLE] = self.safety.cycle
 
     def set_parameters(self, values: Floats) -> None:
         """Set the parameters of the vehicle (np,), in its order; the cost-to-go stays that of the first ones."""
         names = self.vehicle.parameters
-        self.vehicle = replace(self.vehicle, parameters=dict(zip(names, map(float, values), strict=True)))
+        self.vehicle = self.vehicle.with_parameters(dict(zip(names, map(float, values), strict=True)))
         self._problem.parameters[: len(names)] = values
 
     def pose_slack(self, x: float, y: float, theta: float) -> float:
@@ -167,6 +165,20 @@ class EdgeChecker:
         found = np.empty(len(poses))
         poses = np.ascontiguousarray(poses, dtype=float)
         self._search.clearances(self._problem, poses, np.cos(poses[:, 2]), np.sin(poses[:, 2]), found)
+        return found
+
+    def least_slacks(self, states: Matrix, since: Floats, ends: Ints) -> Floats:
+        """Least clearance of k motions beyond delta(t, v) (k,), m, a lower bound; delta has the speed and the time.
+
+        Motion k has the states (n, nx) up to number `ends[k]`, from the end of the one before it on, and `since` (n,)
+        are their times since the begin of the query, s.
+        """
+        vehicle, found = self.vehicle, np.empty(len(ends))
+        theta = vehicle.index("theta")
+        heading = states[:, theta] if theta >= 0 else np.zeros(len(states))
+        where = np.array([vehicle.index("x"), vehicle.index("y"), vehicle.rest_indices[0]])
+        states = np.ascontiguousarray(states, dtype=float)
+        self._search.least_slacks(self._problem, states, np.cos(heading), np.sin(heading), where, since, ends, found)
         return found
 
     def least_distance(self, poses: Matrix) -> float:

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from kraft.driving.messages import ContingencyOrigin, PredictedMotion, Reference, ReferenceKind
-from kraft.driving.prediction import ClosedLoopPredictor, least_slack
+from kraft.driving.prediction import ClosedLoopPredictor
 from kraft.driving.references import manoeuvre_reference
 from kraft.driving.vehicle_model import VehicleModel, stop_control
 from ompl_ext.arrays import Floats, Matrix
@@ -89,8 +89,8 @@ class ContingencyRanking:
 
         Candidates are all manoeuvres, the contingency `in_hand`, and those that follow one of the `plans` first.
         """
-        first = np.asarray(begin.state)[None, :]
-        bound = self._rounded_slack(begin, first, np.array([begin.time]))  # all candidates begin here
+        here = _Motion(np.array([begin.time]), np.asarray(begin.state)[None, :])
+        (bound,) = self._rounded_slacks(begin, [here])  # all candidates begin here
         found: TrackedContingency | None = None
         for candidates in (self._immediate(begin, in_hand), self._along(begin, plans)):
             if found is None or found.rounded_slack < bound:
@@ -102,9 +102,11 @@ class ContingencyRanking:
         self, found: TrackedContingency | None, candidates: list[_Candidate], begin: Begin, bound: int
     ) -> TrackedContingency | None:
         """Best of `found` and of the candidates; only those are tracked that can be better."""
-        for count, candidate in enumerate(sorted(candidates, key=lambda each: (-each.rounded_slack, each.end))):
+        slacks = self._rounded_slacks(begin, [each.motion for each in candidates])
+        ranked = sorted(zip(slacks, candidates, strict=True), key=lambda pair: (-pair[0], pair[1].end))
+        for count, (slack, candidate) in enumerate(ranked):
             if found is not None and found.is_verified:
-                beaten = candidate.rounded_slack + TRACKING * RESOLUTION < found.rounded_slack
+                beaten = slack + TRACKING * RESOLUTION < found.rounded_slack
                 if beaten or found.rounded_slack >= bound or count >= PREDICTIONS:
                     break
             elif count >= 2 * PREDICTIONS:
@@ -124,8 +126,13 @@ class ContingencyRanking:
         before = states[max(int(hits[0]) - 1, 0)]  # it may stand where it touches
         return TrackedContingency(reference, origin, predicted, abs(float(before[vehicle.rest_indices[0]])))
 
-    def _rounded_slack(self, begin: Begin, states: Matrix, times: Floats) -> int:
-        return _rounded(least_slack(self._dirt, states, times - begin.cycle_start))
+    def _rounded_slacks(self, begin: Begin, motions: Sequence[_Motion]) -> list[int]:
+        """Least slacks of motions in the model (in 1 / RESOLUTION m)."""
+        if not motions:
+            return []
+        times, states = (np.concatenate(each) for each in zip(*motions, strict=True))
+        ends = np.cumsum([len(each.times) for each in motions])
+        return [_rounded(slack) for slack in self._dirt.least_slacks(states, times - begin.cycle_start, ends).tolist()]
 
     def _times(self, begin: float, states: Matrix) -> Floats:
         """Times (n,) of the states (n, nx) of a manoeuvre that begins at `begin` s."""
@@ -137,12 +144,11 @@ class ContingencyRanking:
         state, time, _ = begin
         for number, states in enumerate(self._dirt.manoeuvres(state)):
             build, times = partial(self._manoeuvre, number, time, states), self._times(time, states)
-            slack = self._rounded_slack(begin, states, times)
-            yield _Candidate(slack, float(times[-1]), ContingencyOrigin.SAFE, build)
+            yield _Candidate(_Motion(times, states), float(times[-1]), ContingencyOrigin.SAFE, build)
         if in_hand is not None:
             left = in_hand.times >= min(time, in_hand.end)
-            slack = self._rounded_slack(begin, in_hand.states[left], np.maximum(in_hand.times[left], time))
-            yield _Candidate(slack, in_hand.end, ContingencyOrigin.IN_HAND, lambda: in_hand)
+            motion = _Motion(np.maximum(in_hand.times[left], time), in_hand.states[left])
+            yield _Candidate(motion, in_hand.end, ContingencyOrigin.IN_HAND, lambda: in_hand)
 
     def _along(self, begin: Begin, plans: Sequence[Reference]) -> Iterator[_Candidate]:
         """Contingencies that follow a plan first; they do not move a vehicle that stands."""
@@ -154,13 +160,13 @@ class ContingencyRanking:
                 during, followed, _ = _part(plan, time, leaves)
                 for number, states in enumerate(self._dirt.manoeuvres(followed[-1])):
                     times = self._times(leaves, states)
-                    slack = self._rounded_slack(begin, np.vstack([followed, states]), np.concatenate([during, times]))
+                    motion = _Motion(np.concatenate([during, times]), np.vstack([followed, states]))
                     build = partial(self._after, plan, time, number, leaves, states)
-                    yield _Candidate(slack, float(times[-1]), ContingencyOrigin.PLAN_THEN_STOP, build)
+                    yield _Candidate(motion, float(times[-1]), ContingencyOrigin.PLAN_THEN_STOP, build)
             creeping = self._creeping(state, time, plan)
             if creeping is not None:
-                slack = self._rounded_slack(begin, creeping.states, creeping.times)
-                yield _Candidate(slack, creeping.end, ContingencyOrigin.CREEPING, partial(replace, creeping))
+                motion = _Motion(creeping.times, creeping.states)
+                yield _Candidate(motion, creeping.end, ContingencyOrigin.CREEPING, partial(replace, creeping))
 
     def _manoeuvre(self, number: int, time: float, states: Matrix) -> Reference:
         return manoeuvre_reference(self._dirt.vehicle, number, self._times(time, states), states)
@@ -204,11 +210,18 @@ class ContingencyRanking:
         return speeds, arc_lengths
 
 
+class _Motion(NamedTuple):
+    """States (n, nx) in the model at `times` (n,) s."""
+
+    times: Floats
+    states: Matrix
+
+
 @dataclass(frozen=True)
 class _Candidate:
-    """Contingency before it is tracked: least slack in the model (in 1 / RESOLUTION m), end (s), origin, reference."""
+    """Contingency before it is tracked: motion in the model, end (s), origin, reference."""
 
-    rounded_slack: int
+    motion: _Motion
     end: float
     origin: ContingencyOrigin
     reference: Callable[[], Reference]

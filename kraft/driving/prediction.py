@@ -12,7 +12,6 @@ from kraft.driving.control import Controller, compiled_law
 from kraft.driving.messages import Commitment, Estimate, PredictedMotion, Reference
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels.tracking import Ticks
-from ompl_ext.poses import poses_of
 from ompl_ext.solver import DirtSolver
 
 
@@ -106,5 +105,4 @@ def required_clearance(dirt: DirtSolver, states: Matrix, since: Floats | float =
 
 def least_slack(dirt: DirtSolver, states: Matrix, since: Floats | float = math.inf) -> float:
     """Smallest clearance of states (n, nx) beyond the one that SAFETY asks for (m), a lower bound; `since` as above."""
-    poses = poses_of(states, dirt.vehicle)
-    return float((dirt.clearances(poses) - required_clearance(dirt, states, since)).min())
+    return float(dirt.least_slacks(states, np.full(len(states), since), np.array([len(states)]))[0])

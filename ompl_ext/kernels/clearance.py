@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Floats32, Matrix
+from ompl_ext.arrays import Floats, Floats32, Ints, Matrix, int64
 from ompl_ext.jit import inlined, part
 from ompl_ext.kernels.distance import lower_to_shapes
 from ompl_ext.kernels.fine_field import (
@@ -345,34 +345,6 @@ def pose_slack(problem: Problem | Maps, x: float, y: float, c: float, s: float, 
     return slack
 
 
-@part
-def clearances(problem: Problem, poses: Matrix, c: Floats, s: Floats, found: Floats) -> None:
-    """Lower bounds (n,) of the footprint's clearance at poses (n, 3) with these cosines and sines; tight everywhere.
-
-    They are at least those of `pose_slack`.
-    """
-    field, discs, scalar = problem.field, problem.discs, problem.scalar
-    last_row, last_column = field.shape[0] - 1.0, field.shape[1] - 1.0
-    for k in range(len(poses)):
-        least = math.inf
-        for i in range(len(discs)):
-            if discs[i, 3] > 0.0:  # around the discs that follow
-                continue
-            x = poses[k, 0] + discs[i, 0] * c[k] - discs[i, 1] * s[k]
-            y = poses[k, 1] + discs[i, 0] * s[k] + discs[i, 1] * c[k]
-            row = int(min(max((y - scalar[GRID_Y]) * scalar[GRID_INVERSE], 0.0), last_row))
-            column = int(min(max((x - scalar[GRID_X]) * scalar[GRID_INVERSE], 0.0), last_column))
-            value = float(field[row, column])
-            if scalar[FINE_INVERSE] > 0.0:
-                value = max(value, fine_distance_anywhere(problem, x, y))
-            least = min(least, value - discs[i, 2])
-        v = (poses[k, 1] - scalar[GRID_Y]) * scalar[GRID_INVERSE]
-        u = (poses[k, 0] - scalar[GRID_X]) * scalar[GRID_INVERSE]
-        if 0.0 <= v < last_row + 1.0 and 0.0 <= u < last_column + 1.0:  # the disc around the body may tell more
-            least = max(least, float(field[int(v), int(u)]) - scalar[REACH])
-        found[k] = least
-
-
 @inlined
 def delta_at(scalar: Floats, time: float) -> tuple[float, float, float]:
     """Clearance that the model gap requires at a time of a query (s): at rest (m), per speed (s), and growth (m)."""
@@ -380,6 +352,61 @@ def delta_at(scalar: Floats, time: float) -> tuple[float, float, float]:
         return scalar[DELTA_FAR], scalar[DELTA_FAR_PER_SPEED], 0.0
     growth = scalar[DELTA_PER_TIME] * min(time, scalar[DELTA_HORIZON])
     return scalar[DELTA], scalar[DELTA_PER_SPEED], growth
+
+
+@part
+def tight_clearance(problem: Problem, px: float, py: float, c: float, s: float) -> float:
+    """Lower bound of the footprint's clearance at a pose with this cosine and sine (m), tight everywhere.
+
+    It is at least that of `pose_slack`.
+    """
+    field, discs, scalar = problem.field, problem.discs, problem.scalar
+    last_row, last_column = field.shape[0] - 1.0, field.shape[1] - 1.0
+    least = math.inf
+    for i in range(len(discs)):
+        if discs[i, 3] > 0.0:  # around the discs that follow
+            continue
+        x = px + discs[i, 0] * c - discs[i, 1] * s
+        y = py + discs[i, 0] * s + discs[i, 1] * c
+        row = int(min(max((y - scalar[GRID_Y]) * scalar[GRID_INVERSE], 0.0), last_row))
+        column = int(min(max((x - scalar[GRID_X]) * scalar[GRID_INVERSE], 0.0), last_column))
+        value = float(field[row, column])
+        if scalar[FINE_INVERSE] > 0.0:
+            value = max(value, fine_distance_anywhere(problem, x, y))
+        least = min(least, value - discs[i, 2])
+    v = (py - scalar[GRID_Y]) * scalar[GRID_INVERSE]
+    u = (px - scalar[GRID_X]) * scalar[GRID_INVERSE]
+    if 0.0 <= v < last_row + 1.0 and 0.0 <= u < last_column + 1.0:  # the disc around the body may tell more
+        least = max(least, float(field[int(v), int(u)]) - scalar[REACH])
+    return least
+
+
+@part
+def clearances(problem: Problem, poses: Matrix, c: Floats, s: Floats, found: Floats) -> None:
+    """Find the `tight_clearance` (n,) of poses (n, 3) with these cosines and sines."""
+    for k in range(len(poses)):
+        found[k] = tight_clearance(problem, poses[k, 0], poses[k, 1], c[k], s[k])
+
+
+@part
+def least_slacks(
+    problem: Problem, states: Matrix, c: Floats, s: Floats, where: Ints, since: Floats, ends: Ints, found: Floats
+) -> None:
+    """Find the least slack (m) of motions: clearance beyond the one that the model gap requires.
+
+    Motion k has the states (n, nx) up to `ends[k]`, from the end of the one before it on; c and s (n,) are cosine and
+    sine of their headings, `since` (n,) their times in the query (s).  `where` has the components x, y and speed.
+    """
+    scalar, row = problem.scalar, int64(0)
+    for k in range(len(ends)):
+        found[k] = math.inf
+        while row < ends[k]:
+            delta, per_speed, growth = delta_at(scalar, max(since[row], 0.0))
+            required = delta + per_speed * abs(states[row, where[2]]) + growth
+            slack = tight_clearance(problem, states[row, where[0]], states[row, where[1]], c[row], s[row]) - required
+            if slack < found[k] or math.isnan(slack):
+                found[k] = slack
+            row += 1
 
 
 @inlined

@@ -9,11 +9,11 @@ from functools import cache
 
 from numba import types
 
-from ompl_ext.arrays import Floats, IntMatrix32, Matrix, Matrix32, Words16Matrix, int64
+from ompl_ext.arrays import Floats, IntMatrix32, Ints, Matrix, Matrix32, Words16Matrix, int64
 from ompl_ext.jit import compiled, inlined, part
 from ompl_ext.kernels import dirt
 from ompl_ext.kernels import functions as at
-from ompl_ext.kernels.clearance import clearances, pose_slack
+from ompl_ext.kernels.clearance import clearances, least_slacks, pose_slack
 from ompl_ext.kernels.functions import (  # fmt: skip
     call_brake,
     call_check,
@@ -136,9 +136,15 @@ def _clearances(problem: Problem, poses: Matrix, c: Floats, s: Floats, found: Fl
     clearances(problem, poses, c, s, found)
 
 
+def _least_slacks(
+    problem: Problem, states: Matrix, c: Floats, s: Floats, where: Ints, since: Floats, ends: Ints, found: Floats
+) -> None:
+    least_slacks(problem, states, c, s, where, since, ends, found)
+
+
 @dataclass(frozen=True)
 class Search:
-    """Compiled search: single edges, manoeuvres, poses, and `grow`.
+    """Compiled search: single edges, manoeuvres, poses, motions, and `grow`.
 
     `grow` adds edges of an earlier plan and visits nodes: so many or, if asked to, until the first plan to the goal.
     """
@@ -148,12 +154,13 @@ class Search:
     brake: Callable[[Problem, Lanes, Lanes, float], int]
     pose: Callable[[Matrix32, IntMatrix32, Words16Matrix, Floats, Floats, float, float, float], float]
     clearances: Callable[[Problem, Matrix, Floats, Floats, Floats], None]
+    least_slacks: Callable[[Problem, Matrix, Floats, Floats, Ints, Floats, Ints, Floats], None]
 
 
 @cache
 def search() -> Search:
     """Compiled search; compiled, or loaded from the cache, on the first call."""
-    floats, matrix, number = types.float64[::1], types.float64[:, ::1], types.float64
+    floats, matrix, number, ints = types.float64[::1], types.float64[:, ::1], types.float64, types.int64[::1]
     maps = types.float32[:, ::1], types.int32[:, ::1], types.uint16[:, ::1], matrix, floats
     return Search(
         compiled(
@@ -164,4 +171,5 @@ def search() -> Search:
         compiled(_brake, signature=types.int64(PROBLEM, LANES, LANES, number)),
         compiled(_pose, signature=number(*maps, number, number, number)),
         compiled(_clearances, signature=types.void(PROBLEM, matrix, floats, floats, floats)),
+        compiled(_least_slacks, signature=types.void(PROBLEM, matrix, floats, floats, ints, floats, ints, floats)),
     )

@@ -22,7 +22,7 @@ from support.kernels import (
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels.clearance import clearance_field, cover
 from ompl_ext.obstacles import Circle, Obstacle, OccupancyGrid, Polygon, Workspace, box
-from ompl_ext.query import Settings
+from ompl_ext.query import Safety, Settings
 from ompl_ext.solver import DirtSolver
 from ompl_ext.triangulate import triangles
 from ompl_ext.vehicle import Footprint
@@ -347,3 +347,16 @@ def test_the_pieces_of_a_skyline_cover_it_alone(heights: list[int], first: int, 
     for k in range(len(heights) - 1, -1, -1):
         outlined += [(across[k + 1], 0.05 * heights[k]), (across[k], 0.05 * heights[k])]
     covered_alike(np.roll(np.array(outlined), first, axis=0), seed)
+
+
+@given(seeds)
+@settings(deadline=None, max_examples=15)
+def test_the_least_slack_of_motions_is_the_smallest_of_their_states(seed: int) -> None:
+    safety = Safety(delta=0.05, delta_per_speed=0.2, delta_per_time=0.04, delta_horizon=2.0, near=3.0, far_delta=0.3)
+    dirt = DirtSolver(BENCHMARK, random_workspace(seed), GOAL, safety, capacity=10)
+    generator, ends = np.random.default_rng(seed), np.array([1, 8, 30])
+    states = np.column_stack([points(seed, 30), generator.uniform(-7.0, 7.0, 30), generator.uniform(-1.0, 1.0, 30)])
+    since = generator.choice([-0.5, 0.0, 1.0, 2.5, 3.0, 3.5, math.inf], 30)
+    slacks = dirt.clearances(states[:, :3]) - safety.clearance(states[:, 3], since)
+    expected = [each.min() for each in np.split(slacks, ends[:-1])]
+    np.testing.assert_array_equal(dirt.least_slacks(states, since, ends), expected)
