@@ -140,7 +140,9 @@ class Vehicle:
         unknown = sorted(set(values) - set(self.parameters))
         if unknown:
             raise KeyError(f"{self.name} has no parameter {', '.join(unknown)}; it has {', '.join(self.parameters)}")
-        return replace(self, parameters={**self.parameters, **values})
+        changed = replace(self, parameters={**self.parameters, **values})
+        vars(changed)["hash"] = self.hash  # which values do not change, and which takes longer than the rest
+        return changed
 
     def index(self, component: str) -> int:
         """Index of a state component, -1 if the vehicle has none of that name."""
@@ -175,7 +177,7 @@ class Vehicle:
         """Parameter values in their order, shape (max(1, parameters),)."""
         return np.array(list(self.parameters.values()) or [0.0], dtype=float)
 
-    @property
+    @cached_property
     def rest_indices(self) -> tuple[int, ...]:
         """State components that vanish at standstill; the first one is the speed."""
         return tuple(self.state.index(name) for name in self.rest)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from kraft.driving.messages import Reference, ReferenceKind, Stop
-from kraft.driving.vehicle_model import stop_control
+from kraft.driving.vehicle_model import stop_control, stop_controls
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import Contingency, Plan
 from ompl_ext.vehicle import Vehicle
@@ -42,8 +42,7 @@ def contingency_reference(vehicle: Vehicle, contingency: Contingency) -> Referen
 
 def manoeuvre_reference(vehicle: Vehicle, number: int, times: Floats, states: Matrix) -> Reference:
     """Reference of manoeuvre `number` with states (m, nx) at `times` (m,) s; after its end the car is held."""
-    controls = np.array([stop_control(vehicle, state, number) for state in states[:-1]])
-    controls = controls.reshape(-1, len(vehicle.controls))
+    controls = stop_controls(vehicle, states[:-1], number)
     rest = holding_control(vehicle, states[-1])
     return Reference(ReferenceKind.CONTINGENCY, times, states, controls, rest, Stop(number, float(times[0])))
 

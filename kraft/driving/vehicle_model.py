@@ -19,6 +19,7 @@ from kraft.vehicles import CAR_CONTROLS, check_state, is_car
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.kernels.moments import INSTANT, MAX_STEP, ROUNDING
 from ompl_ext.kernels.specialise import StepKernels, kernels, step_kernels
+from ompl_ext.kernels.stopping import stop_controls as compiled_stop_controls
 from ompl_ext.names import FORCE
 from ompl_ext.vehicle import Vehicle
 
@@ -156,7 +157,8 @@ class VehicleModel:
 
     def stop_control(self, state: Floats, number: int) -> Floats:
         """Control (nu,) of manoeuvre `number` in a state (nx,), by the present parameters."""
-        return stop_control(self.present_vehicle, state, number)
+        control: Floats = stop_controls(self.vehicle, np.asarray(state)[None, :], number, self._parameters)[0]
+        return control
 
     def clamped(self, control: Floats) -> Floats:
         """Control (nu,) clamped to its bounds."""
@@ -227,12 +229,19 @@ class VehicleModel:
 
 def stop_control(vehicle: Vehicle, state: Floats, number: int) -> Floats:
     """Control (nu,) of manoeuvre `number` in a state, within its bounds; zero without a `stop` function."""
+    control: Floats = stop_controls(vehicle, np.asarray(state)[None, :], number)[0]
+    return control
+
+
+def stop_controls(vehicle: Vehicle, states: Matrix, number: int, parameters: Floats | None = None) -> Matrix:
+    """Controls (n, nu) of manoeuvre `number` in states (n, nx), by the vehicle's `parameters` (np,) or by others."""
     low, high = vehicle.control_bounds.T
-    if vehicle.stop is None:
-        wanted = np.zeros(len(vehicle.controls))
-    else:
-        wanted = np.array(vehicle.stop(tuple(map(float, state)), tuple(vehicle.parameter_array), number), dtype=float)
-    inside: Floats = np.clip(wanted, low, high)
+    controls = np.zeros((len(states), len(low)))
+    if vehicle.stop is not None:
+        rows = np.ascontiguousarray(states, dtype=np.float64)
+        values = vehicle.parameter_array if parameters is None else parameters
+        compiled_stop_controls()(kernels(vehicle).functions, rows, values, number, controls)
+    inside: Matrix = np.clip(controls, low, high)
     return inside
 
 

@@ -17,7 +17,7 @@ from kraft.driving.method import PlannerSettings
 from kraft.driving.on_board import OnBoard
 from kraft.driving.references import holding_control, manoeuvre_reference, plan_reference
 from kraft.driving.replanner import Replanner
-from kraft.driving.vehicle_model import CarModel, model_of, stop_control
+from kraft.driving.vehicle_model import CarModel, model_of, stop_control, stop_controls
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Workspace
@@ -119,6 +119,17 @@ def test_a_plan_that_ends_in_its_cycle_is_followed_by_its_contingency_and_a_long
     np.testing.assert_array_equal(stops.control_at(2.0 + plan.cost + 1e-3), expected)
     for time in (2.0, 2.0 + 0.5 * plan.cost):
         np.testing.assert_array_equal(stops.state_at(time), ends.state_at(time))
+
+
+def test_the_controls_of_a_manoeuvre_are_those_of_its_stop_function_within_their_bounds() -> None:
+    states = np.random.default_rng(0).uniform(-2.0, 2.0, (20, 4))
+    for vehicle in (mushr(), load_vehicle("mushr-drive")):
+        assert vehicle.stop is not None
+        low, high = vehicle.control_bounds.T
+        values = vehicle.parameter_array
+        for number in range(len(vehicle.manoeuvres)):
+            wanted = [vehicle.stop(tuple(state), tuple(values), number) for state in states]
+            np.testing.assert_array_equal(stop_controls(vehicle, states, number), np.clip(wanted, low, high))
 
 
 def test_a_vehicle_without_a_stop_function_stops_with_zero_control() -> None:
