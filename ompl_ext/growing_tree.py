@@ -45,7 +45,8 @@ class GrowingTree:
     def clear(self, random: Words) -> None:
         """Empty the tree; memory allocated since is kept."""
         reset(self._memory, random)
-        self.tree = first_nodes(self._memory, self._capacity)
+        has_grown = len(self._memory.state) > self._capacity
+        self.tree = first_nodes(self._memory, self._capacity) if has_grown else self._memory
         if self._sparse is not None:
             self._sparse.forget()
 

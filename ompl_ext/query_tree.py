@@ -142,16 +142,24 @@ class QueryTree(EdgeChecker):
         return self.retain_edges(*remaining_edges(plan.controls, plan.durations, elapsed))
 
     def retain_edges(
-        self, parents: Sequence[int] | Ints, controls: Matrix, durations: Floats, targets: Matrix | None = None
+        self,
+        parents: Sequence[int] | Ints,
+        controls: Matrix,
+        durations: Floats,
+        targets: Matrix | None = None,
+        *,
+        continued: bool = False,
     ) -> int:
         """Add edges of an earlier tree, parents before children, -1 for the root; returns the number added.
 
-        The first n edges are corrected to end at `targets` (n, Q_DIM), if there are any.
+        The first n edges are corrected to end at `targets` (n, Q_DIM), if there are any.  If they are `continued`, the
+        first ones are those of the last call, which are not added again.
         """
         before = int(self._tree.count[at.RETAINED])
         began = time.perf_counter()
         for each in self._trees:
-            each.retained = edges_to_retain(parents, controls, durations, targets)
+            known = each.retained.node if continued else None
+            each.retained = edges_to_retain(parents, controls, durations, targets, known)
             each.add(self._problem, each.retained)
         self._update_progress(self._progress.seconds + time.perf_counter() - began)
         return int(self._tree.count[at.RETAINED]) - before
@@ -188,15 +196,16 @@ class QueryTree(EdgeChecker):
         cost, to_go = self._tree.value[node, [at.COST, at.TOGO]]
         return float(cost) if reaches_goal else float(cost + to_go)
 
-    def plan(self) -> Plan | None:
+    def plan(self, known: Plan | None = None) -> Plan | None:
         """Best plan so far, or the plan that ends closest to the goal if none reaches it, or None.
 
-        With SAFETY enabled every plan has a contingency.
+        With SAFETY enabled every plan has a contingency.  It is `known`, a plan of this query, if that is still the
+        best one.
         """
         node, reaches_goal = self.best_node()
         if node < 0 or (self._tree.link[node, at.PARENT] < 0 and not reaches_goal):
             return None
-        return self.plan_to(node)
+        return known if known is not None and self._is_plan_to(node, known) else self.plan_to(node)
 
     def plan_to(self, node: int) -> Plan:
         """Plan that ends at a node of the tree, without a contingency if the node is not one where a plan may end."""
@@ -216,6 +225,14 @@ class QueryTree(EdgeChecker):
             reaches_goal=reaches_goal,
             contingency=self._contingency_of(tree.state[path], controls, durations) if self.safety.enabled else None,
         )
+
+    def _is_plan_to(self, node: int, plan: Plan) -> bool:
+        """Whether a plan of this query is the one that ends at a node."""
+        path, edge = path_to(self._tree, node), self._tree.edge
+        if len(path) != len(plan.states) or not np.array_equal(self._tree.state[path[0]], plan.states[0]):
+            return False
+        nu, edges = len(self.vehicle.controls), edge[path[1:]]
+        return np.array_equal(edges[:, :nu], plan.controls) and np.array_equal(edges[:, nu], plan.durations)
 
     def tree(self) -> TreeView:
         """Copy of the tree."""
@@ -242,13 +259,13 @@ class QueryTree(EdgeChecker):
         return nodes[np.argsort(self._tree.value[nodes, at.COST], kind="stable")]
 
     def _trajectory(self, root: Floats, controls: Matrix, durations: Floats) -> tuple[Floats, Matrix]:
-        times, states, state, clock = [np.zeros(1)], [root[None, :].copy()], root, 0.0
-        for control, duration in zip(controls, durations, strict=True):
-            samples, _ = self.edge(state, control, duration)
-            times.append(clock + duration * np.arange(1, len(samples)) / (len(samples) - 1))
-            states.append(samples[1:])
-            state, clock = samples[-1], clock + duration
-        return np.concatenate(times), np.vstack(states)
+        steps = np.array([self.steps_of(duration) for duration in durations.tolist()], np.int64)
+        count = int(steps.sum()) + 1
+        times, states = np.zeros(count), np.empty((count, len(root)))
+        states[0] = root
+        edges = np.column_stack([controls, durations])
+        self._search.path(self._problem, self.work, edges, steps, times, states)
+        return times, states
 
     def _contingency_of(self, states: Matrix, controls: Matrix, durations: Floats) -> Contingency | None:
         """Contingency at the end of the cycle, or at the end of the plan if that is earlier."""

@@ -9,7 +9,8 @@ import numpy as np
 
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.kernels import kernel_types as at
-from ompl_ext.kernels.kernel_types import Q_DIM, Retained, Tree
+from ompl_ext.kernels.kernel_types import Q_DIM, WAITING, Retained, Tree
+from ompl_ext.kernels.tree_memory import path_along
 from ompl_ext.plan import Plan
 
 
@@ -40,7 +41,7 @@ def retainable_edges(tree: Tree, plan: Plan, targets: Matrix, elapsed: float, li
     """
     parents, controls, durations = remaining_edges(plan.controls, plan.durations, elapsed)
     remaining, first = len(durations), len(plan.durations) - len(durations)
-    path = _nodes_of(tree, plan)
+    path = path_along(tree, np.column_stack([plan.controls, plan.durations]))
     size = int(tree.count[at.SIZE])
     on_path = np.full(size, -2)  # index of the edge to a node, -2 for nodes that are not retained
     begun = elapsed - float(plan.durations[:first].sum())
@@ -58,19 +59,6 @@ def retainable_edges(tree: Tree, plan: Plan, targets: Matrix, elapsed: float, li
         targets=targets[first:],
         remaining=remaining,
     )
-
-
-def _nodes_of(tree: Tree, plan: Plan) -> list[int]:
-    """Nodes of a plan from the root on, as far as the tree has them."""
-    parent, edges = tree.link[: tree.count[at.SIZE], at.PARENT], np.column_stack([plan.controls, plan.durations])
-    path = [int(np.flatnonzero(parent < 0)[0])]
-    for edge in edges:
-        children = np.flatnonzero(parent == path[-1])
-        same = children[np.all(tree.edge[children] == edge, axis=1)]
-        if len(same) == 0:
-            break
-        path.append(int(same[0]))
-    return path
 
 
 def _most_promising(tree: Tree, path: Bools, limit: int) -> Ints:
@@ -113,12 +101,20 @@ def remaining_edges(controls: Floats, durations: Floats, elapsed: float) -> tupl
 
 
 def edges_to_retain(
-    parent: Sequence[int] | Ints, controls: Floats, durations: Floats, targets: Matrix | None = None
+    parent: Sequence[int] | Ints,
+    controls: Floats,
+    durations: Floats,
+    targets: Matrix | None = None,
+    known: Ints | None = None,
 ) -> Retained:
     """Initial edges for the kernel `grow`; `controls` has shape (edges, nu), `durations` (edges,).
 
-    The first n edges are corrected to end at `targets` (n, Q_DIM), configurations in the tree's metric.
+    The first n edges are corrected to end at `targets` (n, Q_DIM), configurations in the tree's metric.  The first m
+    edges may have been added before: `known` (m,) are their nodes.
     """
     edge = np.ascontiguousarray(np.column_stack([controls, durations]), dtype=float)
     target = np.zeros((0, Q_DIM)) if targets is None else np.ascontiguousarray(targets, dtype=float)
-    return Retained(np.array(parent, np.int64), edge, target, np.full(len(parent), -1))
+    node = np.full(len(parent), WAITING)
+    if known is not None:
+        node[: len(known)] = known
+    return Retained(np.array(parent, np.int64), edge, target, node)

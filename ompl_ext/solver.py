@@ -137,10 +137,11 @@ class DirtSolver(QueryTree):
         durations: Floats,
         targets: Matrix | None = None,
         *,
+        continued: bool = False,
         optimised: bool = False,
     ) -> int:
         """Add edges of an earlier tree, as `QueryTree.retain_edges`; `optimised` as for `retain`."""
-        added = super().retain_edges(parents, controls, durations, targets)
+        added = super().retain_edges(parents, controls, durations, targets, continued=continued)
         self._count_as_optimised(optimised)
         return added
 

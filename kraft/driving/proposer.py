@@ -272,9 +272,10 @@ class Proposer:
             or dirt.slack(query.root) < 0.0
         ):
             return False
-        if remainder.edges is not None:
-            start_with_best_corrections(dirt, query.root, remainder, self._seed_of(query.number), PROBES)
-        return retain(dirt, query.root, remainder) is PlanLoss.NONE
+        begun = remainder.edges is not None and start_with_best_corrections(
+            dirt, query.root, remainder, self._seed_of(query.number), PROBES
+        )
+        return retain(dirt, query.root, remainder, begun) is PlanLoss.NONE
 
     def _seed_of(self, number: int) -> int:
         return self._seed * 100_003 + number
@@ -375,9 +376,10 @@ class Proposer:
             return Proposal(None, "the predicted start of the cycle lacks clearance")
         lost, retained = PlanLoss.NONE, None
         if remainder is not None:
-            if remainder.edges is not None:
-                start_with_best_corrections(dirt, root, remainder, self._seed_of(query.number), attempts)
-            lost = retain(dirt, root, remainder)  # ll. 1-8
+            begun = remainder.edges is not None and start_with_best_corrections(
+                dirt, root, remainder, self._seed_of(query.number), attempts
+            )
+            lost = retain(dirt, root, remainder, begun)  # ll. 1-8
             if self._settings.switch_gain > 0.0:
                 retained = retained_plan(dirt, remainder)
         progress = self._budget.grow(dirt, query.left, share, is_last)
@@ -401,7 +403,7 @@ class Proposer:
 
     def _choose(self, dirt: DirtSolver, retained: Plan | None) -> tuple[Plan | None, bool]:
         """Best plan, or the best one that goes the way of the retained plan if leaving it does not save enough."""
-        best, gain = dirt.plan(), self._settings.switch_gain
+        best, gain = dirt.plan(retained), self._settings.switch_gain
         if retained is None or best is None or best.reaches_goal > retained.reaches_goal:
             return best, False
         if best.total_cost <= retained.total_cost - gain or goes_same_way(dirt, best, retained):

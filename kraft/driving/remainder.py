@@ -49,41 +49,51 @@ def retained_plan(dirt: DirtSolver, remainder: Remainder) -> Plan | None:
 
 def start_with_best_corrections(
     dirt: DirtSolver, root: Floats, remainder: Remainder, seed: int, attempts: int = CORRECTION_ATTEMPTS
-) -> None:
+) -> bool:
     """Start a query at `root` (nx,) with the seed, of several, that retains most of a remainder; the cheapest if all.
+
+    The query was started with the first `seed`.  Returns whether the remainder is in the tree already, as it is if the
+    last attempt is the best one.
 
     Corrections are random, and each of them is the best one for its own edge only: others pass where one fails.  A
     cheaper whole remainder is worth ever fewer attempts, and where none helps, the cause is not the correction.
     """
     assert remainder.edges is not None
-    edges, best, fruitless = remainder.edges, (-1, -math.inf, seed), 0
+    edges, best, chosen, fruitless = remainder.edges, (-1, -math.inf, seed), seed, 0
     part = slice(0, edges.remaining)
     for attempt in range(attempts):
-        dirt.start(root, seed + attempt * ATTEMPT_SEEDS)
+        chosen = seed + attempt * ATTEMPT_SEEDS
+        if attempt > 0:
+            dirt.start(root, chosen)
         retained = dirt.retain_edges(edges.parents[part], edges.controls[part], edges.durations[part], edges.targets)
         gains = retained > best[0] or (retained == best[0] and -dirt.best_cost > best[1] + ATTEMPT_TOLERANCE)
         fruitless = 0 if gains else fruitless + 1
-        best = max(best, (retained, -dirt.best_cost, seed + attempt * ATTEMPT_SEEDS))
+        best = max(best, (retained, -dirt.best_cost, chosen))
         enough = remainder.left + RETAINED_TOLERANCE + attempt * ATTEMPT_TOLERANCE
         suffices = best[0] == edges.remaining and -best[1] <= enough
         if suffices or fruitless == FRUITLESS_ATTEMPTS:
             break
+    if best[2] == chosen:
+        return True
     dirt.start(root, best[2])
+    return False
 
 
-def retain(dirt: DirtSolver, root: Floats, remainder: Remainder) -> PlanLoss:
+def retain(dirt: DirtSolver, root: Floats, remainder: Remainder, continued: bool = False) -> PlanLoss:
     """Retain the remainder of a plan, and edges of its tree if there are any, in a query that begins at `root` (nx,).
 
-    Returns the reason of a loss: of an edge that was not retained or, if all were, of a cost that is higher from the
-    new root.  Obstacles do not move, so an edge is in collision from the state that the plan predicted only if more
-    distance is required now than when it was planned.
+    If that is `continued`, the remainder is in the tree already.  Returns the reason of a loss: of an edge that was not
+    retained or, if all were, of a cost that is higher from the new root.  Obstacles do not move, so an edge is in
+    collision from the state that the plan predicted only if more distance is required now than when it was planned.
     """
     plan, elapsed, edges = remainder.plan, remainder.elapsed, remainder.edges
     _, controls, durations = remaining_edges(plan.controls, plan.durations, elapsed)
     if edges is None:
         dirt.retain(plan, elapsed, optimised=True)
     else:
-        dirt.retain_edges(edges.parents, edges.controls, edges.durations, edges.targets, optimised=True)
+        dirt.retain_edges(
+            edges.parents, edges.controls, edges.durations, edges.targets, continued=continued, optimised=True
+        )
     if dirt.retained_nodes[len(durations) - 1] >= 0:
         return PlanLoss.ESTIMATE if dirt.best_cost > remainder.left + RETAINED_TOLERANCE else PlanLoss.NONE
     first = int(plan.durations.cumsum().searchsorted(elapsed + 1e-9, side="right"))

@@ -53,6 +53,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     TOGO,
     UNSAFE,
     VISITS,
+    WAITING,
     X_HIGH,
     X_LOW,
     Y_HIGH,
@@ -398,6 +399,8 @@ def retain(
     nu = tree.edge.shape[1] - 1
     single, first = int64(1), int64(0)  # not literals: numba compiles the callees once more for each
     for k in range(len(retained.parent)):
+        if retained.node[k] != WAITING:
+            continue
         parent = 0 if retained.parent[k] < 0 else retained.node[retained.parent[k]]
         retained.node[k] = -1
         if parent < 0:

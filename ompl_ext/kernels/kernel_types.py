@@ -200,13 +200,16 @@ class RolloutMemory(NamedTuple):
     poses: Matrix  # (2, n) poses whose clearances are found at once, see `ompl_ext.kernels.pose_clearances`
 
 
+WAITING = -2  # instead of the node of a retained edge
+
+
 class Retained(NamedTuple):
     """Edges of an earlier plan or tree for the begin of a query, parents before children."""
 
     parent: Ints  # index of the parent edge, -1 at the root
     edge: Matrix  # (edges, nu + 1) control and duration
     target: Matrix  # (n, Q_DIM) configurations where the first n edges ended; these edges are corrected to end there
-    node: Ints  # node of each edge's end in the tree, -1 if the edge was omitted
+    node: Ints  # node of each edge's end in the tree, -1 if the edge was omitted, `WAITING` if it is to be added
 
 
 _types: Any = numba.types  # numba has no types

@@ -27,6 +27,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     BEST,
     CUT_AT_GOAL,
     FULL,
+    LANE_WIDTH,
     LANES,
     PROBLEM,
     RETAINED_EDGES,
@@ -112,6 +113,23 @@ def _edge(problem: Problem, work: Lanes, start_time: float) -> None:
     edge(problem, work, start_time)
 
 
+def _path(problem: Problem, work: Lanes, edges: Matrix, steps: Ints, times: Floats, states: Matrix) -> None:
+    nx, nu, begin, clock = states.shape[1], edges.shape[1] - 1, int64(0), 0.0
+    for k in range(len(edges)):
+        for c in range(nx):
+            work.source[c] = states[begin, c]
+        for c in range(nu):
+            work.control[c * LANE_WIDTH] = edges[k, c]
+        duration = edges[k, nu]
+        work.duration[0], work.steps[0] = duration, steps[k]
+        call_propagate(problem.functions[at.PROPAGATE], (work.source, int64(1), problem, work))
+        for step in range(1, steps[k] + 1):
+            times[begin + step] = clock + duration * step / steps[k]
+            for c in range(nx):
+                states[begin + step, c] = work.trajectory[(step * nx + c) * LANE_WIDTH]
+        begin, clock = begin + steps[k], clock + duration
+
+
 def _brake(problem: Problem, work: Lanes, brake: Lanes, start_time: float) -> int:
     if start_time < math.inf:
         return safe(int64(0), start_time, problem, work, brake)
@@ -147,10 +165,13 @@ class Search:
     """Compiled search: single edges, manoeuvres, poses, motions, and `grow`.
 
     `grow` adds edges of an earlier plan and visits nodes: so many or, if asked to, until the first plan to the goal.
+    `path` integrates edges (n, nu + 1), controls and durations, one after the other from `states[0]` on: it writes the
+    states and times (s) of all steps, `steps` (n,) an edge, and checks nothing.
     """
 
     grow: Callable[[Tree, Problem, Lanes, Lanes, Floats, Retained, int, bool], None]
     edge: Callable[[Problem, Lanes, float], None]
+    path: Callable[[Problem, Lanes, Matrix, Ints, Floats, Matrix], None]
     brake: Callable[[Problem, Lanes, Lanes, float], int]
     pose: Callable[[Matrix32, IntMatrix32, Words16Matrix, Floats, Floats, float, float, float], float]
     clearances: Callable[[Problem, Matrix, Floats, Floats, Floats], None]
@@ -168,6 +189,7 @@ def search() -> Search:
             signature=types.void(TREE, PROBLEM, LANES, LANES, floats, RETAINED_EDGES, types.int64, types.boolean),
         ),
         compiled(_edge, signature=types.void(PROBLEM, LANES, number)),
+        compiled(_path, signature=types.void(PROBLEM, LANES, matrix, ints, floats, matrix)),
         compiled(_brake, signature=types.int64(PROBLEM, LANES, LANES, number)),
         compiled(_pose, signature=number(*maps, number, number, number)),
         compiled(_clearances, signature=types.void(PROBLEM, matrix, floats, floats, floats)),

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ompl_ext.arrays import Bools, Floats, Ints, Ints32, Words, int64
-from ompl_ext.jit import compiled
+from ompl_ext.arrays import Bools, Floats, IntMatrix32, Ints, Ints32, Matrix, Words, int64
+from ompl_ext.jit import compiled, inlined
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
     AT_GOAL,
     BEST,
@@ -234,16 +234,25 @@ def add_root(tree: Tree, work: Lanes) -> None:
     node = int(tree.count[SIZE])
     if node >= len(tree.state):
         raise MemoryError(f"no room for another start in a tree of {node:,} nodes")
-    tree.state[node] = work.source
+    _write_root(tree, work)
+
+
+@compiled
+def _write_root(tree: Tree, work: Lanes) -> None:
+    node = tree.count[SIZE]
+    tree.count[SIZE] += 1
+    for k in range(len(work.source)):
+        tree.state[node, k] = work.source[k]
     tree.edge[node] = 0.0
-    tree.value[node, :Q_DIM] = work.end[: Q_DIM * LANE_WIDTH : LANE_WIDTH]
-    tree.value[node, [COST, TOGO, F, RADIUS]] = 0.0, work.togo[0], work.togo[0], math.inf
+    for k in range(Q_DIM):
+        tree.value[node, k] = work.end[k * LANE_WIDTH]
+    tree.value[node, COST], tree.value[node, RADIUS] = 0.0, math.inf
+    tree.value[node, TOGO] = tree.value[node, F] = work.togo[0]
     tree.link[node] = -1
     tree.link[node, AT_GOAL] = work.at_goal[0]
     tree.link[node, VISITS] = 0
-    if work.at_goal[0]:
+    if work.at_goal[0] != 0:
         tree.best[0], tree.count[BEST] = 0.0, node
-    tree.count[SIZE] += 1
     list_node(tree, node)
 
 
@@ -299,3 +308,33 @@ def path_to(tree: Tree, node: int) -> list[int]:
         path.append(node)
         node = int(tree.link[node, PARENT])
     return path[::-1]
+
+
+def path_along(tree: Tree, edges: Matrix) -> list[int]:
+    """Nodes of a path from the first root on, as far as the tree has its edges (n, nu + 1), controls and durations."""
+    size, nodes = int(tree.count[SIZE]), np.empty(len(edges) + 1, np.int64)
+    count = _follow(tree.link[:size], tree.edge[:size], np.ascontiguousarray(edges), nodes)
+    return [int(node) for node in nodes[:count]]
+
+
+@inlined
+def are_equal(one: Floats, other: Floats) -> bool:
+    """Whether two rows are the same."""
+    equal = True
+    for k in range(len(one)):
+        equal = equal and one[k] == other[k]
+    return equal
+
+
+@compiled
+def _follow(link: IntMatrix32, edge: Matrix, edges: Matrix, nodes: Ints) -> int:
+    nodes[0] = 0  # the first root is the first node
+    for k in range(len(edges)):
+        nodes[k + 1] = -1
+        for child in range(nodes[k] + 1, len(link)):  # children come after their parents
+            if link[child, PARENT] == nodes[k] and are_equal(edge[child], edges[k]):
+                nodes[k + 1] = child
+                break
+        if nodes[k + 1] < 0:
+            return k + 1
+    return len(edges) + 1

@@ -253,7 +253,7 @@ def test_by_the_clock_a_search_without_the_margin_has_time_left(monkeypatch: pyt
             return grow(iterations=300)
 
         monkeypatch.setattr(dirt, "grow", grow)
-    monkeypatch.setattr(both.planning, "plan", lambda: None)
+    monkeypatch.setattr(both.planning, "plan", lambda _=None: None)
     proposal = subject._proposer.propose(0, start(), None)
     assert granted == pytest.approx([0.175, 0.175, 0.0])  # of 0.8 x 0.5 s - 0.05 s; with a plan it goes on
     assert proposal.plan is not None

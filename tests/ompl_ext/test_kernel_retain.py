@@ -17,6 +17,7 @@ from support.kernels import (
     turns,
 )  # fmt: skip
 
+from ompl_ext.kernels.tree_memory import path_along, path_to
 from ompl_ext.plan import Plan
 from ompl_ext.query import Safety
 from ompl_ext.solver import DirtSolver
@@ -125,3 +126,55 @@ def test_a_whole_tree_can_be_retained() -> None:
     added = dirt.retain_edges([int(p) - 1 for p in tree.parents[1:]], tree.controls[1:], tree.durations[1:])
     assert added == len(tree.states) - 1
     assert dirt.tree().states.tobytes() == tree.states.tobytes()
+
+
+def test_a_query_continues_with_edges_as_if_all_were_added_at_once() -> None:
+    dirt, views = turns(), []
+    planned(dirt, 600)
+    tree = dirt.tree()
+    parents, controls, durations = tree.parents[1:] - 1, tree.controls[1:], tree.durations[1:]
+    for first in (0, 7):
+        dirt.start(START + np.array([0.01, 0.0, 0.02, 0.0]), 5)
+        added = 0
+        if first > 0:
+            added = dirt.retain_edges(parents[:first], controls[:first], durations[:first])
+        added += dirt.retain_edges(parents, controls, durations, continued=first > 0)
+        assert added == dirt.progress.retained == int((dirt.retained_nodes >= 0).sum())
+        dirt.grow(iterations=100)
+        views.append((dirt.tree(), dirt.retained_nodes.tolist()))
+    assert 0 < len(views[0][1]) == len(views[1][1])
+    assert views[0][1] == views[1][1]
+    assert views[0][0].states.tobytes() == views[1][0].states.tobytes()
+
+
+def test_the_trajectory_of_a_plan_is_that_of_its_edges_one_by_one() -> None:
+    plan, dirt = planned(turns()), turns()
+    state, clock, row = plan.states[0], 0.0, 0
+    for control, duration in zip(plan.controls, plan.durations, strict=True):
+        samples, _ = dirt.edge(state, control, duration)
+        steps = len(samples) - 1
+        np.testing.assert_array_equal(plan.trajectory[row : row + steps + 1], samples)
+        expected = clock + duration * np.arange(1, steps + 1) / steps
+        np.testing.assert_array_equal(plan.times[row + 1 : row + steps + 1], expected)
+        state, clock, row = samples[-1], clock + duration, row + steps
+    assert len(plan.times) == row + 1
+
+
+def test_a_known_plan_is_the_best_one_until_the_search_finds_a_better_one() -> None:
+    dirt = turns()
+    first = planned(dirt)
+    assert dirt.plan(first) is first
+    dirt.grow(iterations=5000)
+    better = dirt.plan(first)
+    assert better is not None
+    assert better.cost < first.cost
+
+
+def test_the_nodes_of_a_plan_are_found_by_its_edges() -> None:
+    dirt = turns()
+    plan = planned(dirt)
+    edges = np.column_stack([plan.controls, plan.durations])
+    tree = dirt.tree_arrays
+    assert path_along(tree, edges) == path_to(tree, dirt.best_node()[0])
+    edges[2, 0] += 1e-9
+    assert path_along(tree, edges) == path_to(tree, dirt.best_node()[0])[:3]
