@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ompl_ext.arrays import Matrix
+from ompl_ext.kernels.nearest_points import nearest_points
 from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver
 
@@ -15,7 +16,7 @@ STEP = 0.02  # distance between the places on a way that are compared, where its
 
 def goes_same_way(dirt: DirtSolver, plan: Plan, other: Plan) -> bool:
     """Whether two plans stay near each other in the next seconds and pass every obstacle on the same side."""
-    if np.array_equal(plan.trajectory, other.trajectory):
+    if plan is other or np.array_equal(plan.trajectory, other.trajectory):
         return True
     (one, one_soon), (two, two_soon) = (_places(dirt, each) for each in (plan, other))
     return _follows(dirt, one_soon, two) and _follows(dirt, two_soon, one)
@@ -26,14 +27,15 @@ def _places(dirt: DirtSolver, plan: Plan) -> tuple[Matrix, Matrix]:
     positions = plan.trajectory[:, [dirt.vehicle.index("x"), dirt.vehicle.index("y")]]
     steps = np.hypot(*np.diff(positions, axis=0).T).cumsum() // STEP
     apart = np.concatenate([[True], np.diff(steps, prepend=0.0) > 0.0])
-    return positions[apart], positions[apart & (plan.times <= HORIZON)]
+    soon = apart & (plan.times <= HORIZON)
+    return np.ascontiguousarray(positions[apart]), np.ascontiguousarray(positions[soon])
 
 
 def _follows(dirt: DirtSolver, points: Matrix, path: Matrix) -> bool:
     """Whether points (n, 2) are near a path (m, 2), with no obstacle between each of them and its nearest point."""
-    away = np.linalg.norm(points[:, None] - path[None], axis=2)
-    nearest = away.argmin(axis=1)
-    if away[np.arange(len(points)), nearest].max() > WIDTH:
+    nearest, away = np.empty(len(points), np.int64), np.empty(len(points))
+    nearest_points()(points, path, nearest, away)
+    if away.max() > WIDTH:
         return False
     shares = np.linspace(0.0, 1.0, 12)[:, None, None]
     between = points + shares * (path[nearest] - points)

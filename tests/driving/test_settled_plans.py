@@ -15,13 +15,14 @@ from support.replanner import FARSIGHTED, drive, mushr, replanner, start
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
 from kraft.driving.proposer import Proposal, Proposer, _is_better
-from kraft.driving.remainder import Remainder
+from kraft.driving.remainder import Remainder, retain, start_with_best_corrections
 from kraft.driving.solvers import Solvers
 from kraft.driving.ways import goes_same_way
 from kraft.planning.workspace import start_state
 from kraft.scenario import Task, load_scenario
 from ompl_ext.arrays import Floats
 from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels.nearest_points import nearest_points
 from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver
 
@@ -94,6 +95,21 @@ def test_a_cycle_retains_the_remainder_of_the_plan_and_edges_of_its_tree_that_be
     assert proposal.retained > edges.remaining
     end = subject.dirt.retained_nodes[edges.remaining - 1]
     assert subject.dirt.tree_arrays.value[end, at.COST] == pytest.approx(plan.cost - 1.0)
+
+
+def test_a_remainder_that_the_last_attempt_has_retained_is_not_added_again() -> None:
+    subject = proposer(seed=BRANCHED, retain="tree")
+    plan = proposed(subject)
+    dirt, remainder, root, views = subject.dirt, remainder_of(subject, plan), after_a_cycle(plan, MOVED), []
+    for attempts in (1, 0):
+        dirt.start(root, 5)
+        continued = attempts > 0 and start_with_best_corrections(dirt, root, remainder, 5, attempts)
+        assert continued == (attempts > 0)
+        assert retain(dirt, root, remainder, continued) is PlanLoss.NONE
+        dirt.grow(iterations=50, timed=False)
+        views.append((dirt.tree(), dirt.progress.edges, dirt.progress.retained))
+    assert views[0][0].states.tobytes() == views[1][0].states.tobytes()
+    assert views[0][1:] == views[1][1:]
 
 
 def test_no_more_edges_than_the_limit_are_retained_and_the_most_promising_first() -> None:
@@ -204,6 +220,17 @@ def test_a_plan_goes_the_same_way_as_itself_and_not_the_way_on_the_other_side_of
     assert goes_same_way(dirt, cheap, cheap)
     assert not goes_same_way(dirt, cheap, dear)
     assert not goes_same_way(dirt, dear, cheap)
+
+
+def test_of_the_points_of_a_path_the_first_of_the_nearest_ones_counts() -> None:
+    generator = np.random.default_rng(0)
+    points, path = generator.uniform(0.0, 3.0, (40, 2)), generator.uniform(0.0, 3.0, (60, 2))
+    path[30:] = path[:30]
+    nearest, away = np.empty(40, np.int64), np.empty(40)
+    nearest_points()(points, path, nearest, away)
+    distances = np.linalg.norm(points[:, None] - path[None], axis=2)
+    np.testing.assert_array_equal(nearest, distances.argmin(axis=1))
+    np.testing.assert_array_equal(away, distances.min(axis=1))
 
 
 def test_without_the_margin_a_plan_is_better_if_it_saves_the_gain_or_alone_reaches_the_goal() -> None:
