@@ -17,6 +17,7 @@ from ompl_ext.solver import DirtSolver
 
 TOLERANCE = 1e-6  # tolerance of FCL's distances (m)
 FINE = 16  # subdivisions of a step between samples
+PARTS = np.linspace(0.0, 1.0, FINE + 1)  # of the motion from one sample to the next
 
 
 class Requirement(StrEnum):
@@ -63,41 +64,48 @@ def verify(dirt: DirtSolver, plan: Plan) -> Verification:
     A broad phase, which does not use the clearance field, decides where FCL need not be asked; verdict and clearances
     are those of FCL at every sample.
     """
+    problems, clearances = _examined(dirt, plan)
+    least = [-math.inf if each is None else each.least()[0] for each in clearances]
+    return Verification(least[0], least[1] if len(least) > 1 else None, tuple(problems))
+
+
+def violations(dirt: DirtSolver, plan: Plan) -> tuple[Violation, ...]:
+    """Violated requirements of a plan as `verify` finds them, without the clearances of a plan that is far from all."""
+    return tuple(_examined(dirt, plan)[0])
+
+
+def _examined(dirt: DirtSolver, plan: Plan) -> tuple[list[Violation], list[_Clearance | None]]:
+    """Violations, and the clearance along the plan and, if there is one, along its contingency; None if not finite."""
     if not np.isfinite(plan.trajectory).all():
-        return Verification(-math.inf, None, (_not_finite("plan"),))
+        return [_not_finite("plan")], [None]
     problems: list[Violation] = []
     poses = poses_of(plan.trajectory, dirt.vehicle)
     clearance = _Clearance(dirt, poses)
     problems += _clearance_violations(dirt, "plan", plan.times, plan.trajectory, clearance, _within_cycle(dirt, plan))
-    least, at = clearance.least()
-    if not least > 0.0:
-        problems.append(Violation(Requirement.COLLISION, f"plan: collides at t = {plan.times[at]:.3f} s"))
+    problems += _collisions_at_samples("plan", plan.times, clearance)
     problems += _collisions_between_samples(dirt, plan, clearance)
     if np.any(np.abs(plan.states[-1] - plan.trajectory[-1]) > 1e-6):
         text = "plan: the trajectory does not end in the last state"
         problems.append(Violation(Requirement.CONSISTENCY, text))
     if not dirt.safety.enabled:
-        return Verification(least, None, tuple(problems))
+        return problems, [clearance]
     if plan.contingency is None:
-        missing = Violation(Requirement.CONTINGENCY, "contingency: missing")
-        return Verification(least, None, (*problems, missing))
+        return [*problems, Violation(Requirement.CONTINGENCY, "contingency: missing")], [clearance]
     stop = plan.contingency
     if not np.isfinite(stop.states).all():
-        return Verification(least, -math.inf, (*problems, _not_finite("contingency")))
-    stopping = _Clearance(dirt, poses_of(stop.states, dirt.vehicle))
+        return [*problems, _not_finite("contingency")], [clearance, None]
+    poses = poses_of(stop.states, dirt.vehicle)
+    stopping = _Clearance(dirt, poses)
     every = np.ones(len(stop.times), bool)
     times = stop.times - stop.times[0] + dirt.safety.cycle  # as the planner takes it to begin
     problems += _clearance_violations(dirt, "contingency", times, stop.states, stopping, every)
-    nearest, at = stopping.least()
-    if not nearest > 0.0:
-        problems.append(Violation(Requirement.COLLISION, f"contingency: collides at t = {stop.times[at]:.3f} s"))
+    problems += _collisions_at_samples("contingency", stop.times, stopping)
     samples: Floats = np.arange(len(stop.times), dtype=float)
-    fine = samples[:-1, None] + np.linspace(0.0, 1.0, FINE + 1)
-    between = interpolated_rows(fine, samples, poses_of(stop.states, dirt.vehicle))
+    between = interpolated_rows(samples[:-1, None] + PARTS, samples, poses)
     problems += _collisions_between(dirt, "contingency", stop.times, between, stopping)
     if not dirt.safety.is_resting(dirt.vehicle, stop.states[-1]):
         problems.append(Violation(Requirement.STANDSTILL, "contingency: does not end at standstill"))
-    return Verification(least, nearest, tuple(problems))
+    return problems, [clearance, stopping]
 
 
 def _not_finite(what: str) -> Violation:
@@ -150,6 +158,14 @@ def _clearance_violations(
         f"{what}: {clearance.values[k]:.4f} m from an obstacle at t = {times[k]:.3f} s, delta requires {delta[k]:.4f} m"
     )
     return [Violation(Requirement.CLEARANCE, text)]
+
+
+def _collisions_at_samples(what: str, times: Floats, clearance: _Clearance) -> list[Violation]:
+    """Collision at the sample that is nearest to an obstacle, if it is one."""
+    if np.all(clearance.values > SPREAD):  # nothing touches then
+        return []
+    least, at = clearance.least()
+    return [] if least > 0.0 else [Violation(Requirement.COLLISION, f"{what}: collides at t = {times[at]:.3f} s")]
 
 
 def _collisions_between_samples(dirt: DirtSolver, plan: Plan, clearance: _Clearance) -> list[Violation]:

@@ -37,7 +37,7 @@ from ompl_ext.plan import Plan, TreeView
 from ompl_ext.query_tree import Progress
 from ompl_ext.retainment import RetainableEdges
 from ompl_ext.solver import DirtSolver
-from ompl_ext.verification import verify
+from ompl_ext.verification import violations
 
 RECOVERY_MARGIN = 0.005  # by which the required clearance of a recovery is below the present one (m)
 STALLED = 0.5  # cost by which a plan exceeds what was left of the last one if there is no progress (s)
@@ -446,7 +446,7 @@ class Proposer:
             Defect: if the plan violates what the planner guarantees.
         """
         until = math.inf if self._settings.mode == "one-shot" else self._settings.cycle
-        problems = verify(dirt, plan.head(until)).problems
+        problems = violations(dirt, plan.head(until))
         if problems:
             raise Defect(f"the plan of cycle {number} fails verification: {listed(problems)}")
 

@@ -21,7 +21,7 @@ from ompl_ext.kernels import kernel_types as at
 from ompl_ext.plan import Plan
 from ompl_ext.query_tree import Progress
 from ompl_ext.solver import DirtSolver
-from ompl_ext.verification import Verification
+from ompl_ext.verification import Violation
 
 
 def solvers(**settings: object) -> Solvers:
@@ -178,11 +178,11 @@ def test_a_goal_with_a_heading_shrinks_only_for_a_vehicle_in_it_where_it_is_near
 def test_what_is_verified_is_all_that_may_be_executed(monkeypatch: pytest.MonkeyPatch) -> None:
     heads = list[Plan]()
 
-    def verify(_: DirtSolver, head: Plan) -> Verification:
+    def violations(_: DirtSolver, head: Plan) -> tuple[Violation, ...]:
         heads.append(head)
-        return Verification(0.0, None, ())
+        return ()
 
-    monkeypatch.setattr("kraft.driving.proposer.verify", verify)
+    monkeypatch.setattr("kraft.driving.proposer.violations", violations)
     for mode, until in (("replanning", 1.0), ("one-shot", math.inf)):
         subject = replanner(mode=mode)
         subject.begin(start())
@@ -198,7 +198,7 @@ def test_what_is_verified_is_all_that_may_be_executed(monkeypatch: pytest.Monkey
 
 
 def test_a_plan_that_fails_its_verification_is_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kraft.driving.proposer.verify", lambda *_: Verification(0.0, None, ("plan: collides",)))
+    monkeypatch.setattr("kraft.driving.proposer.violations", lambda *_: ("plan: collides",))
     with pytest.raises(Defect, match=r"cycle 0 fails verification: plan: collides"):
         replanner().begin(start())
 

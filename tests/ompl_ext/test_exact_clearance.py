@@ -19,7 +19,7 @@ from ompl_ext.query import Safety
 from ompl_ext.solver import DirtSolver
 from ompl_ext.triangulate import triangles
 from ompl_ext.vehicle import Footprint
-from ompl_ext.verification import FINE, Requirement, verify
+from ompl_ext.verification import FINE, Requirement, verify, violations
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -147,6 +147,7 @@ def test_the_verdict_on_plans_moved_towards_obstacles_is_that_of_fcl_at_every_sa
         verification = verify(dirt, changed)
         assert verification.min_clearance == least
         assert {problem.requirement for problem in verification.problems} == violated
+        assert violations(dirt, changed) == verification.problems
         verdicts |= {frozenset(violated)}
     assert len(verdicts) > 1
 
@@ -191,7 +192,9 @@ def test_a_contingency_that_collides_is_found_at_its_samples_and_between_them(sh
     post = Circle(before + share * (after - before), 0.001)
     with_post = Workspace(dirt.workspace.bounds, (*dirt.workspace.obstacles, post))
     judge = DirtSolver(dirt.vehicle, with_post, dirt.goal, dirt.safety, capacity=10)
-    found = [problem.text for problem in verify(judge, plan).problems if problem.requirement is Requirement.COLLISION]
+    problems = verify(judge, plan).problems
+    found = [problem.text for problem in problems if problem.requirement is Requirement.COLLISION]
+    assert violations(judge, plan) == problems
     assert any(text.startswith(said) for text in found), found
 
 
@@ -205,6 +208,7 @@ def test_states_that_are_not_finite_are_a_violation() -> None:
     for changed in (replace(plan, trajectory=nowhere), replace(plan, contingency=replace(stop, states=states))):
         found = verify(dirt, changed)
         assert [problem.requirement for problem in found.problems] == [Requirement.CONSISTENCY]
+        assert violations(dirt, changed) == found.problems
 
 
 def test_a_start_in_the_goal_is_a_plan_only_if_it_keeps_the_clearance() -> None:
