@@ -10,7 +10,7 @@ import numpy as np
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.kernel_types import Q_DIM, WAITING, Retained, Tree
-from ompl_ext.kernels.tree_memory import path_along
+from ompl_ext.kernels.tree_memory import add_descendants, keep_with_ancestors, path_along
 from ompl_ext.plan import Plan
 
 
@@ -66,25 +66,13 @@ def _most_promising(tree: Tree, path: Bools, limit: int) -> Ints:
 
     Their ancestors up to the path count towards the limit.
     """
-    size = len(path)
+    size, f = len(path), tree.value[: len(path), at.F]
     parent = np.maximum(tree.link[:size, at.PARENT], 0)
-    below, above = path.copy(), parent
-    while np.any(above != above[above]):
-        below |= below[above]
-        above = above[above]
-    below |= below[above]
-    f = tree.value[:size, at.F]
+    below = path.copy()
+    add_descendants(below, parent)
     useful = below & ~path & (tree.value[:size, at.RADIUS] > 0.0) & (f < tree.best[0])
-    keep, kept = path.copy(), 0
-    for node in np.flatnonzero(useful)[np.argsort(f[useful], kind="stable")]:
-        missing, ancestor = [], int(node)
-        while not keep[ancestor]:
-            missing.append(ancestor)
-            ancestor = int(parent[ancestor])
-        if kept + len(missing) > limit:
-            break
-        keep[missing] = True
-        kept += len(missing)
+    keep, nodes = path.copy(), np.flatnonzero(useful)
+    keep_with_ancestors(keep, parent, nodes[np.argsort(f[nodes], kind="stable")], limit)
     return np.flatnonzero(keep & ~path)
 
 

@@ -295,6 +295,30 @@ def _keep_ancestors(keep: Bools, parent: Ints32) -> None:
             keep[parent[node]] = True
 
 
+@compiled
+def add_descendants(chosen: Bools, parent: Ints32) -> None:
+    """Choose the descendants of chosen nodes (n,) too; `parent` (n,) of the first root is itself."""
+    for node in range(len(chosen)):  # children come after their parents
+        chosen[node] = chosen[node] or chosen[parent[node]]
+
+
+@compiled
+def keep_with_ancestors(keep: Bools, parent: Ints32, nodes: Ints, limit: int) -> None:
+    """Keep `nodes` (m,) of a tree of n with their ancestors up to kept ones, in turn, until there are `limit` more."""
+    kept = 0
+    for node in nodes:
+        ancestor, missing = node, 0
+        while not keep[ancestor]:
+            ancestor, missing = int64(parent[ancestor]), missing + 1
+        kept += missing
+        if kept > limit:
+            return
+        ancestor = node
+        while not keep[ancestor]:
+            keep[ancestor] = True
+            ancestor = int64(parent[ancestor])
+
+
 def best_node(tree: Tree) -> tuple[int, bool]:
     """Last node of the best plan, -1 without a plan, and whether it is in the goal."""
     reaches_goal = bool(tree.count[BEST] >= 0)

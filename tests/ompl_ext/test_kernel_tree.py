@@ -13,7 +13,7 @@ from kraft.vehicles.benchmark import BENCHMARK
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.kernel_types import Tree
 from ompl_ext.kernels.tree import closed_radius, nearest_better, select
-from ompl_ext.kernels.tree_memory import prune
+from ompl_ext.kernels.tree_memory import add_descendants, keep_with_ancestors, path_to, prune
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.solver import DirtSolver
@@ -366,3 +366,23 @@ def test_memory_of_nodes_begins_cache_lines() -> None:
     tree = grown(10)
     assert all(array.ctypes.data % 64 == 0 for array in (tree.value, tree.link))
     assert tree.link.shape[1] * tree.link.itemsize == 32
+
+
+def test_descendants_and_ancestors_are_those_of_the_paths_from_the_root() -> None:
+    tree = grown(300)
+    parent = np.maximum(link(tree, at.PARENT), 0)
+    paths = [path_to(tree, node) for node in range(len(parent))]
+    below = np.zeros(len(parent), bool)
+    below[paths[-1][1]] = True
+    add_descendants(below, parent)
+    assert below.tolist() == [paths[-1][1] in path for path in paths]
+    nodes, keep = np.flatnonzero(below)[::-1], parent == -1
+    keep[0] = True
+    keep_with_ancestors(keep, parent, nodes, 10)
+    kept = {0}
+    for node in nodes:
+        if len(kept.union(paths[node])) > 11:
+            break
+        kept.update(paths[node])
+    assert 1 < len(kept) <= 11
+    assert set(np.flatnonzero(keep).tolist()) == kept
