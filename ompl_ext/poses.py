@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle
 
@@ -23,9 +21,11 @@ def pose_of(state: Floats, vehicle: Vehicle) -> tuple[float, float, float]:
 
 def poses_of(states: Matrix, vehicle: Vehicle) -> Matrix:
     """Poses (n, 3), x, y (m) and heading (rad), of states (n, nx); heading 0 for a vehicle that does not turn."""
-    theta = vehicle.index("theta")
-    heading = states[:, theta] if theta >= 0 else np.zeros(len(states))
-    return np.column_stack([states[:, vehicle.index("x")], states[:, vehicle.index("y")], heading])
+    x, y, theta = (vehicle.index(name) for name in ("x", "y", "theta"))
+    poses: Matrix = states.take([x, y, theta], axis=1)
+    if theta < 0:
+        poses[:, 2] = 0.0
+    return poses
 
 
 def displacement(state: Floats, other: Floats, vehicle: Vehicle) -> float:

@@ -96,8 +96,8 @@ class Safety:
         """
         numbers = (self.cycle, self.delta, self.delta_per_speed, self.delta_per_time, self.delta_horizon,
                    self.far_delta, self.far_delta_per_speed, self.rest_speed, self.step, self.horizon)  # fmt: skip
-        numbers_are_wrong = not all(math.isfinite(value) and value >= 0 for value in numbers)
-        if numbers_are_wrong or not self.near >= 0 or self.step == 0:
+        numbers_are_fine = math.isfinite(sum(numbers)) and min(numbers) >= 0
+        if not (numbers_are_fine and self.near >= 0) or self.step == 0:
             raise ValueError(f"safety: numbers must be finite and not negative, got {self}")
         if self.horizon / self.step > MAX_STEPS:
             raise ValueError(f"safety: a horizon of {self.horizon} s has too many steps of {self.step} s")
@@ -109,8 +109,10 @@ class Safety:
 
     def clearance(self, speed: Floats, time: Floats) -> Floats:
         """delta(t, v) (n,) at speeds (n,), m/s, and times (n,) since the begin of the query, s."""
-        growth = self.delta_per_time * np.clip(time, 0.0, self.delta_horizon)
-        near = self.delta + self.delta_per_speed * np.abs(speed) + growth
+        growth = self.delta_per_time * np.minimum(np.maximum(time, 0.0), self.delta_horizon)
+        near: Floats = self.delta + self.delta_per_speed * np.abs(speed) + growth
+        if math.isinf(self.near):
+            return near
         far = self.far_delta + self.far_delta_per_speed * np.abs(speed)
         delta: Floats = np.where(np.asarray(time) <= self.near, near, far)
         return delta

@@ -193,8 +193,8 @@ class QueryTree(EdgeChecker):
         node, reaches_goal = self.best_node()
         if node < 0:
             return math.inf
-        cost, to_go = self._tree.value[node, [at.COST, at.TOGO]]
-        return float(cost) if reaches_goal else float(cost + to_go)
+        value = self._tree.value
+        return float(value[node, at.COST] if reaches_goal else value[node, at.COST] + value[node, at.TOGO])
 
     def plan(self, known: Plan | None = None) -> Plan | None:
         """Best plan so far, or the plan that ends closest to the goal if none reaches it, or None.

@@ -110,6 +110,7 @@ class BoundCalibration:
         self._ratios, self._count = settings.prior_cycles * settings.initial**2, settings.prior_cycles
         self._last: tuple[PredictedMotion, DeviationBound] | None = None
         self._turning = turning_error(vehicle)
+        self._known: tuple[Uncertainty | None, DeviationBound] = None, DeviationBound(0.0)
 
     @property
     def factor(self) -> float:
@@ -141,6 +142,14 @@ class BoundCalibration:
         self._count = kept * self._count + 1.0
 
     def _unscaled(self, uncertainty: Uncertainty) -> DeviationBound:
+        """Bound with the scale 1; the last one is kept, because a cycle asks for it twice."""
+        known, bound = self._known
+        if known is not uncertainty or bound.fastest != self.fastest:
+            bound = self._computed(uncertainty)
+            self._known = uncertainty, bound
+        return bound
+
+    def _computed(self, uncertainty: Uncertainty) -> DeviationBound:
         vehicle, covariance = self._vehicle, uncertainty.state
         pose = [vehicle.index("x"), vehicle.index("y")]
         turn = vehicle.footprint.reach**2 * float(covariance[vehicle.index("theta"), vehicle.index("theta")])

@@ -106,6 +106,14 @@ def test_without_an_error_of_the_pose_the_clearance_is_that_of_speed_and_time() 
     assert (asked.delta, asked.delta_per_speed, asked.delta_per_time) == (0.0, 0.2, 0.06)
 
 
+def test_the_bound_of_an_uncertainty_follows_the_fastest_speed() -> None:
+    subject, known = BoundCalibration(SETTINGS, mushr()), uncertainty()
+    assert subject.bound(known) == subject.bound(known) == BoundCalibration(SETTINGS, mushr()).bound(known)
+    subject.fastest = 3.0
+    assert subject.bound(known).fastest == 3.0
+    assert subject.bound(uncertainty(delay=0.5)).per_speed > subject.bound(known).per_speed
+
+
 def test_until_the_drive_is_identified_the_bound_grows_faster() -> None:
     subject, known = BoundCalibration(SETTINGS, mushr()), uncertainty()
     faster = subject.bound(Uncertainty(known.state, known.delay, acceleration=0.4))
