@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import mmap
+import weakref
 from typing import Any
 
 import numpy as np
@@ -57,7 +58,10 @@ MAX_BLOCKS = 500_000  # of cells of positions; in workspaces above 12,800 m^2 th
 EVERY = 2**62 - 1  # mask of the number of a column or row that shares its memory with no other
 HUGE_PAGE = 2**21  # bytes
 CELLS_PER_NODE = 32  # cells are emptied one by one if there are this many times fewer nodes
+LARGEST_REUSED = 2 * HUGE_PAGE  # bytes of an array whose memory is kept for the next tree
+REUSED_SIZES, REUSED_PER_SIZE = 16, 4  # sizes of such arrays, and arrays of a size
 _PER_NODE = ("state", "edge", "value", "link")
+_unused: dict[int, list[mmap.mmap]] = {}  # memory of arrays that exist no more, by its size
 
 
 def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float], tuple[float, float]]) -> Tree:
@@ -126,12 +130,26 @@ def _in_huge_pages(rows: int, columns: int, dtype: type) -> Any:
     Nodes are visited in no order: with small pages most visits would miss the processor's cache of addresses too.
     """
     size = max(rows, 1) * columns * np.dtype(dtype).itemsize
-    memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-    if size >= HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE"):
-        memory.madvise(mmap.MADV_HUGEPAGE)
-    array: Any = np.frombuffer(memory, dtype, rows * columns).reshape(rows, columns)
-    array[: HUGE_PAGE // (columns * array.itemsize)] = 0
+    try:
+        memory, touched = _unused[size].pop(), size
+    except (KeyError, IndexError):
+        memory, touched = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS), HUGE_PAGE
+        if size >= HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE"):
+            memory.madvise(mmap.MADV_HUGEPAGE)
+    array: Any = np.frombuffer(memory, dtype, rows * columns)
+    if size <= LARGEST_REUSED:
+        weakref.finalize(array, _reuse, memory).atexit = False
+    array = array.reshape(rows, columns)
+    array[: touched // (columns * array.itemsize)] = 0
     return array
+
+
+def _reuse(memory: mmap.mmap) -> None:
+    """Keep the memory of an array that exists no more: to get new memory takes longer than to empty it."""
+    same = _unused.pop(len(memory), [])
+    _unused[len(memory)] = [*same, memory][-REUSED_PER_SIZE:]
+    if len(_unused) > REUSED_SIZES:
+        _unused.pop(next(iter(_unused)), None)  # the size that no tree has had for the longest time
 
 
 def with_room(tree: Tree, nodes: int, max_nodes: int) -> Tree:

@@ -11,9 +11,10 @@ from support.kernels import DEFAULT, GOAL, NO_SAFETY, START, TURNS, Array, turns
 
 from kraft.vehicles.benchmark import BENCHMARK
 from ompl_ext.kernels import kernel_types as at
+from ompl_ext.kernels import tree_memory
 from ompl_ext.kernels.kernel_types import Tree
 from ompl_ext.kernels.tree import closed_radius, nearest_better, select
-from ompl_ext.kernels.tree_memory import add_descendants, keep_with_ancestors, path_to, prune
+from ompl_ext.kernels.tree_memory import add_descendants, keep_with_ancestors, new_tree, path_to, prune
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.solver import DirtSolver
@@ -386,3 +387,22 @@ def test_descendants_and_ancestors_are_those_of_the_paths_from_the_root() -> Non
         kept.update(paths[node])
     assert 1 < len(kept) <= 11
     assert set(np.flatnonzero(keep).tolist()) == kept
+
+
+def test_the_memory_of_a_tree_is_reused_empty_once_nothing_refers_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tree_memory, "_unused", {})
+    names, bounds = ("state", "value", "link", "region_cells", "cells"), ((0.0, 1.37), (0.0, 2.11))
+    tree = new_tree(321, 4, 2, bounds)
+    for name in names:
+        getattr(tree, name)[:] = 7
+    part, places = tree.state[5:9, 1], {tree.state.ctypes.data, tree.value.ctypes.data}
+    del tree
+    for _ in range(3):
+        following = new_tree(321, 4, 2, bounds)
+        assert not any(getattr(following, name).any() for name in names)
+        assert not np.shares_memory(following.state, part)
+    assert (part == 7).all()
+    assert following.value.ctypes.data in places
+    for rows in range(400, 430):
+        new_tree(rows, 4, 2, bounds)
+    assert len(tree_memory._unused) == tree_memory.REUSED_SIZES
