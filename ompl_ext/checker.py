@@ -128,8 +128,9 @@ class EdgeChecker:
         self.safety = replace(
             self.safety, delta=delta, delta_per_speed=per_speed, delta_per_time=per_time, delta_horizon=horizon
         )
-        self._problem.scalar[[at.DELTA, at.DELTA_PER_SPEED]] = delta, per_speed
-        self._problem.scalar[[at.DELTA_PER_TIME, at.DELTA_HORIZON]] = per_time, horizon
+        scalar = self._problem.scalar
+        scalar[at.DELTA], scalar[at.DELTA_PER_SPEED] = delta, per_speed
+        scalar[at.DELTA_PER_TIME], scalar[at.DELTA_HORIZON] = per_time, horizon
 
     def set_far(self, near: float, delta: float, per_speed: float) -> None:
         """Set the clearance `delta` + `per_speed` |v| of the time after `near` s, see `Safety`."""

@@ -12,4 +12,7 @@ def interpolated_rows(x: Floats | float, knots: Floats, rows: Matrix) -> Floats:
 
     Before the first knot and after the last one it is the row there, as `numpy.interp` has it.
     """
-    return np.stack([np.interp(x, knots, column) for column in rows.T], axis=-1)
+    found = np.empty((*np.shape(x), rows.shape[1]))
+    for k, column in enumerate(rows.T):
+        found[..., k] = np.interp(x, knots, column)
+    return found

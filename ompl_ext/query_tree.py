@@ -285,13 +285,13 @@ class QueryTree(EdgeChecker):
         if count[at.BEST] >= 0 and (not history or cost < history[-1][1]):
             history = (*history, (seconds, cost))
         first = int(count[at.FIRST_ITERATION]) if count[at.BEST] >= 0 else None
-        total = sum((each.tree.count for each in self._trees[1:]), start=count)
+        total = sum((each.tree.count for each in self._trees[1:]), start=count).tolist()
         self._progress = Progress(
             seconds=seconds,
-            iterations=int(total[at.ITERATIONS]),
-            edges=int(total[at.EDGES]),
-            nodes=int(total[at.SIZE]),
-            unsafe=int(total[at.UNSAFE]),
+            iterations=total[at.ITERATIONS],
+            edges=total[at.EDGES],
+            nodes=total[at.SIZE],
+            unsafe=total[at.UNSAFE],
             retained=int(count[at.RETAINED]),
             first_iteration=first,
             history=history,

@@ -100,7 +100,8 @@ def edges_to_retain(
     The first n edges are corrected to end at `targets` (n, Q_DIM), configurations in the tree's metric.  The first m
     edges may have been added before: `known` (m,) are their nodes.
     """
-    edge = np.ascontiguousarray(np.column_stack([controls, durations]), dtype=float)
+    edge = np.empty((len(durations), np.shape(controls)[1] + 1))
+    edge[:, :-1], edge[:, -1] = controls, durations
     target = np.zeros((0, Q_DIM)) if targets is None else np.ascontiguousarray(targets, dtype=float)
     node = np.full(len(parent), WAITING)
     if known is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -136,12 +137,15 @@ class Vehicle:
 
         Raises:
             KeyError: a name is not a parameter.
+            ValueError: a value is not a finite number.
         """
         unknown = sorted(set(values) - set(self.parameters))
         if unknown:
             raise KeyError(f"{self.name} has no parameter {', '.join(unknown)}; it has {', '.join(self.parameters)}")
-        changed = replace(self, parameters={**self.parameters, **values})
-        vars(changed)["hash"] = self.hash  # which values do not change, and which takes longer than the rest
+        changed = copy.copy(self)  # with what is known of it: nothing else depends on the values
+        vars(changed)["parameters"] = {**self.parameters, **values}
+        if problems := list(_parameter_problems(changed)):
+            raise ValueError(f"vehicle {self.name!r}: " + "; ".join(problems))
         return changed
 
     def index(self, component: str) -> int:
@@ -221,9 +225,7 @@ def _shape_problems(vehicle: Vehicle) -> list[str]:
 
 def _number_problems(vehicle: Vehicle) -> Iterator[str]:
     """Parameters that are not numbers, limits that no state keeps, and what is stated for estimators."""
-    for name, value in vehicle.parameters.items():
-        if not _is_finite(value):
-            yield f"parameter {name} needs a finite number, got {value!r}"
+    yield from _parameter_problems(vehicle)
     for name, (low, high) in vehicle.limits.items():
         if not low < high:
             yield f"the limits of {name} need low < high, got ({low}, {high})"
@@ -236,6 +238,12 @@ def _number_problems(vehicle: Vehicle) -> Iterator[str]:
         value, std = vehicle.delay
         if not (0.0 <= value < math.inf and 0.0 < std < math.inf):
             yield f"delay needs a value of at least 0 s and a positive std, both finite, got {vehicle.delay}"
+
+
+def _parameter_problems(vehicle: Vehicle) -> Iterator[str]:
+    for name, value in vehicle.parameters.items():
+        if not _is_finite(value):
+            yield f"parameter {name} needs a finite number, got {value!r}"
 
 
 def _is_finite(value: object) -> bool:
