@@ -4,6 +4,10 @@
 what the scalar loop would, so results do not depend on the machine's vector width.  `error_model="numpy"` only
 removes the zero-division branch that would keep a loop from vectorising.
 
+*Vectors.*  LLVM prefers vectors of 256 bits on every Intel processor with AVX-512, because the first ones lowered their
+clock for 512 bits.  Those with AVX512-FP16 (Sapphire Rapids and later) do not, and search takes a sixth less time with
+them.
+
 *Memory.*  `_nrt=False` compiles without numba's memory runtime: a kernel can neither allocate nor count references.
 
 *Cache.*  numba's key of a cached kernel is its own source file; a change of an inlined function goes unnoticed.  Here
@@ -32,6 +36,7 @@ import numba
 from numba import types
 from numba.core import cgutils, event
 from numba.core.caching import NullCache
+from numba.core.codegen import get_host_cpu_features
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
@@ -44,6 +49,7 @@ _codegen: Any = cgutils
 _intrinsic: Any = intrinsic
 _event: Any = event
 _compiler_lock: Any = global_compiler_lock
+_host_features: Any = get_host_cpu_features
 F = TypeVar("F", bound=Callable[..., object])
 
 
@@ -68,6 +74,15 @@ class _NoCollections(event.Listener):
 
 
 _event.register("numba:compile", _NoCollections())
+
+
+def with_wide_vectors(features: str) -> str | None:
+    """Features of a processor in LLVM's notation with vectors of 512 bits; None if it is better off without them."""
+    return f"{features},-prefer-256-bit" if "+avx512fp16" in features.split(",") else None
+
+
+if _config.CPU_FEATURES is None and _config.CPU_NAME is None:  # otherwise the user has chosen (NUMBA_CPU_FEATURES)
+    _config.CPU_FEATURES = with_wide_vectors(_host_features())
 
 
 def cache_root() -> Path:

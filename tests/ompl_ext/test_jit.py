@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numba import types
+from numba.core.codegen import get_host_cpu_features
 from support.kernels import BENCHMARK, ROVER
 
-from ompl_ext.jit import cache_folder, callee, caller, compiled, inlined
+from ompl_ext.jit import cache_folder, callee, caller, compiled, inlined, with_wide_vectors
 from ompl_ext.kernels import tree
 from ompl_ext.kernels.functions import BRAKE, CHECK, PROPAGATE
 from ompl_ext.kernels.specialise import kernels, layout_module_of
@@ -67,3 +71,20 @@ def test_vehicles_with_the_same_layout_of_the_state_share_its_checks_and_nothing
     first, second, third = (kernels(vehicle).functions for vehicle in (BENCHMARK, alike, other))
     assert first[CHECK] == second[CHECK] != third[CHECK]
     assert len({f[number] for f in (first, second, third) for number in (PROPAGATE, BRAKE)}) == 6
+
+
+def test_vectors_are_wide_only_on_processors_that_keep_their_clock_with_them() -> None:
+    assert with_wide_vectors("+avx2,-avx512f,-avx512fp16") is None
+    assert with_wide_vectors("+avx2,+avx512f,-avx512fp16") is None
+    assert with_wide_vectors("+avx512f,+avx512fp16") == "+avx512f,+avx512fp16,-prefer-256-bit"
+    assert with_wide_vectors("") is None
+
+
+@pytest.mark.parametrize("chosen", [{}, {"NUMBA_CPU_FEATURES": "+avx2"}, {"NUMBA_CPU_NAME": "generic"}])
+def test_the_users_choice_of_a_processor_is_kept(chosen: dict[str, str]) -> None:
+    code = "import numba; before = numba.config.CPU_FEATURES; import ompl_ext.jit; print(before, numba.config.CPU_FEATURES)"
+    environment = {**os.environ, **chosen}
+    out = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    before, after = out.stdout.rstrip("\n").split(" ")
+    wide = with_wide_vectors(get_host_cpu_features())
+    assert after == (before if chosen else str(wide))
