@@ -358,7 +358,8 @@ def delta_at(scalar: Floats, time: float) -> tuple[float, float, float]:
 def tight_clearance(problem: Problem, px: float, py: float, c: float, s: float) -> float:
     """Lower bound of the footprint's clearance at a pose with this cosine and sine (m), tight everywhere.
 
-    It is at least that of `pose_slack`.
+    It is at least that of `pose_slack` unless discs are in groups: then a disc around others, which decides there, may
+    tell more than they do, by less than what the cells lose (1.5 cells).
     """
     field, discs, scalar = problem.field, problem.discs, problem.scalar
     last_row, last_column = field.shape[0] - 1.0, field.shape[1] - 1.0

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from support.kernels import (
     BENCHMARK,
@@ -20,6 +20,7 @@ from support.kernels import (
 )  # fmt: skip
 
 from ompl_ext.exact import ExactClearance
+from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.clearance import clearance_field, cover
 from ompl_ext.obstacles import Circle, Obstacle, OccupancyGrid, Polygon, Workspace, box
 from ompl_ext.query import Safety, Settings
@@ -114,6 +115,7 @@ def test_the_spare_clearance_of_a_pose_never_exceeds_the_exact_clearance(
             assert exact.distance(x, y, theta) > 0.0
 
 
+@example(44620, Settings(excess=0.05))  # a disc around others tells more of them than they do
 @given(seeds, st.sampled_from([Settings(), Settings(excess=0.05)]))
 @settings(deadline=None, max_examples=15)
 def test_clearances_of_many_poses_agree_with_the_check_of_each(seed: int, chosen: Settings) -> None:
@@ -121,13 +123,15 @@ def test_clearances_of_many_poses_agree_with_the_check_of_each(seed: int, chosen
     dirt = DirtSolver(replace(BENCHMARK, footprint=footprint), workspace, GOAL, NO_SAFETY, chosen, capacity=10)
     poses = np.column_stack([points(seed, 60, 0.1, 2.9), np.random.default_rng(seed).uniform(-7.0, 7.0, 60)])
     exact = ExactClearance(workspace, footprint)
+    in_groups = bool((dirt.problem.discs[:, 3] > 0).any())
+    tolerance = 1.5 / float(dirt.problem.scalar[at.GRID_INVERSE]) if in_groups else 1e-6
     for pose, found in zip(poses, dirt.clearances(poses), strict=True):
         true = exact.distance(*pose)
         assert found <= true + FCL_ERROR
         if 0.0 < true < math.inf:  # infinite without an obstacle
             assert found >= true - 0.2  # what the discs exceed the footprint by, and what the cells lose
         slack = dirt.pose_slack(*pose)
-        assert found < 0.0 if slack < 0.0 else found >= slack - 1e-6
+        assert found < 0.0 if slack < 0.0 else found >= slack - tolerance
 
 
 @given(seeds, st.sampled_from([1, 5, 40]))
