@@ -254,6 +254,8 @@ class LoopbackClient:
         self._outbox.close()
         self._sender.join(timeout=1.0)
         self._wire.shut_down()
+        if self._receiver.defect:  # otherwise the receiver closes it
+            self._wire.close()
 
     def _receive(self) -> None:
         while (frame := self._wire.receive()) is not None:
