@@ -72,17 +72,26 @@ def _backend(purpose: str) -> str:
 
 
 def check_video(path: Path) -> None:
-    """Check before the drive that a video can be written at `path`.
+    """Check before the drive that a video can be drawn, and written at `path`.
 
     Raises:
         InputError: if its suffix is neither .mp4 nor .webp, or nothing can be written there.
         MissingDependency: if nothing can be drawn without a window here.
     """
+    check_video_file(path)
+    offscreen_context(16, 16).free()
+
+
+def check_video_file(path: Path) -> None:
+    """Check that a video can be written at `path`, without drawing: after that no forked process could draw.
+
+    Raises:
+        InputError: if its suffix is neither .mp4 nor .webp, or nothing can be written there.
+    """
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         problem = f"ends in {path.suffix!r}" if path.suffix else "has no suffix"
         raise InputError.of(str(path), f"the video's name {problem}", f"expected {' or '.join(VIDEO_SUFFIXES)}")
     check_writable(path)
-    offscreen_context(16, 16).free()
 
 
 def check_view() -> None:

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from kraft.config.overrides import parse_overrides
 from kraft.errors import Code, Defect, Diagnostic, Problems
+from kraft.gl import check_video_file
 from kraft.robot.priority import leave_signals_to_planner, process_context
 from kraft.robot.robot_file import JOINT_STATE, CommandOutput, Loopback, Robot, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
@@ -90,7 +91,8 @@ def _load(request: RunRequest, asked: DriveRequest) -> DriveFiles:
     if outputs.plot is not None:
         expected = "expected --out and --bag with --realtime"
         problems.found.append(Diagnostic("plot", "draws a trial", expected, code=Code.CONFLICT, argument=True))
-    problems.of(replace(outputs, plot=None, bag=None).check)
+    video = outputs.video  # whether it can be drawn is checked in the simulated robot's process
+    problems.of(lambda: None if video is None else check_video_file(video))
     files = problems.of(lambda: load_files(asked))
     problems.check()
     assert files is not None, "every problem was raised"

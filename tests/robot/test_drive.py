@@ -295,6 +295,16 @@ def test_run_on_the_wall_clock_is_a_drive_with_the_robot_beside_it(
     assert log.duration == pytest.approx(content["t_ex_s"], abs=6.0)
 
 
+def test_a_drive_on_the_wall_clock_is_filmed(tmp_path: Path) -> None:
+    """In the simulated robot's process, which could draw nothing if the one that it is forked from had drawn."""
+    film = tmp_path / "film.webp"
+    near = ("--set", "goal.center=[1.7,0.8]", "--set", "trial.timeout=10")
+    command = [sys.executable, "-m", "kraft_cli", "run", "boxes", "--realtime", "--video", str(film), *near]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120.0, check=False)
+    assert done.returncode in (0, 1), done.stderr  # drawing may take the whole computer
+    assert film.stat().st_size > 10_000
+
+
 def test_run_on_the_wall_clock_refuses_what_has_no_contingency_and_what_draws_a_trial(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
