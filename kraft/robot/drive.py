@@ -197,7 +197,7 @@ def _drive_in_processes(spec: DriveSpec, report: tuple[Any, Any, Any, Any], keep
             here.send(message)
 
     try:
-        with preferred_planner(), _interrupts(lambda: send(StopOrder("interrupted")), process) as received:
+        with preferred_planner(), _interrupts(lambda: send(StopOrder("by a signal")), process) as received:
             result = _drive(spec, here, process, send, report, keep_trees)
             return replace(result, signal=received[0] if received else 0)
     finally:

@@ -76,7 +76,9 @@ class RosbridgeClient:
             self._socket = self._connect()
         except OSError as error:
             problem = f"nobody answers at {settings.url} ({error})"
-            raise InputError.of("transport", problem, "expected a rosbridge server there", Code.NOT_FOUND) from error
+            raise InputError.of(
+                "transport", problem, "expected a rosbridge server, or kraft world, there", Code.NOT_FOUND
+            ) from error
         self._receiver = Receiver(self._receive, "rosbridge receiver")
         self._sender = threading.Thread(target=self._send, name="rosbridge sender", daemon=True)
         self._sender.start()

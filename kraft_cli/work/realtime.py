@@ -208,7 +208,8 @@ def realtime_json(run: RealtimeRun) -> dict[str, Any]:
 def realtime_table(run: RealtimeRun) -> list[tuple[str, str]]:
     """Labels and values of the result table: those of the drive, and what was true."""
     world = run.world
-    true = outcome_text(world.outcome, world.obstacle, world.time)
+    ended_before = world.outcome is Outcome.TIMEOUT and run.driven.outcome != Outcome.TIMEOUT
+    true = outcome_text("not in the goal" if ended_before else world.outcome, world.obstacle, world.time)
     rows = drive_table(run.driven)
     if run.driven.result.ended is None:
         return rows

@@ -115,7 +115,7 @@ def test_an_interrupt_of_the_check_list_ends_it_at_once(tmp_path: Path) -> None:
     assert time.monotonic() - began < 8.0
     assert process.returncode == 130
     driven = json.loads(out)
-    assert (driven["outcome"], driven["reason"], driven["cycles"]) == ("interrupted", "interrupted", 0)
+    assert (driven["outcome"], driven["reason"], driven["cycles"]) == ("interrupted", "by a signal", 0)
 
 
 def test_a_drive_whose_terminal_is_gone_stops_and_writes_its_result(tmp_path: Path) -> None:
