@@ -157,8 +157,7 @@ class VehicleModel:
 
     def stop_control(self, state: Floats, number: int) -> Floats:
         """Control (nu,) of manoeuvre `number` in a state (nx,), by the present parameters."""
-        control: Floats = stop_controls(self.vehicle, np.asarray(state)[None, :], number, self._parameters)[0]
-        return control
+        return stop_control(self.vehicle, state, number, self._parameters)
 
     def clamped(self, control: Floats) -> Floats:
         """Control (nu,) clamped to its bounds."""
@@ -227,9 +226,9 @@ class VehicleModel:
         return self.clamped(control + half * change)
 
 
-def stop_control(vehicle: Vehicle, state: Floats, number: int) -> Floats:
+def stop_control(vehicle: Vehicle, state: Floats, number: int, parameters: Floats | None = None) -> Floats:
     """Control (nu,) of manoeuvre `number` in a state, within its bounds; zero without a `stop` function."""
-    control: Floats = stop_controls(vehicle, np.asarray(state)[None, :], number)[0]
+    control: Floats = stop_controls(vehicle, np.asarray(state)[None, :], number, parameters)[0]
     return control
 
 

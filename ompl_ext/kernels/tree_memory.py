@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import mmap
 import weakref
+from collections import OrderedDict
 from typing import Any
 
 import numpy as np
@@ -61,7 +62,7 @@ CELLS_PER_NODE = 32  # cells are emptied one by one if there are this many times
 LARGEST_REUSED = 2 * HUGE_PAGE  # bytes of an array whose memory is kept for the next tree
 REUSED_SIZES, REUSED_PER_SIZE = 16, 4  # sizes of such arrays, and arrays of a size
 _PER_NODE = ("state", "edge", "value", "link")
-_unused: dict[int, list[mmap.mmap]] = {}  # memory of arrays that exist no more, by its size
+_unused: OrderedDict[int, list[mmap.mmap]] = OrderedDict()  # memory of arrays that exist no more, by its size
 
 
 def new_tree(capacity: int, nx: int, nu: int, bounds: tuple[tuple[float, float], tuple[float, float]]) -> Tree:
@@ -149,7 +150,7 @@ def _reuse(memory: mmap.mmap) -> None:
     same = _unused.pop(len(memory), [])
     _unused[len(memory)] = [*same, memory][-REUSED_PER_SIZE:]
     if len(_unused) > REUSED_SIZES:
-        _unused.pop(next(iter(_unused)), None)  # the size that no tree has had for the longest time
+        _unused.popitem(last=False)  # of the size that no tree has had for the longest time
 
 
 def with_room(tree: Tree, nodes: int, max_nodes: int) -> Tree:

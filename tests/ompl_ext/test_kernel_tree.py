@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 
 import numpy as np
 import pytest
@@ -390,7 +391,7 @@ def test_descendants_and_ancestors_are_those_of_the_paths_from_the_root() -> Non
 
 
 def test_the_memory_of_a_tree_is_reused_empty_once_nothing_refers_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tree_memory, "_unused", {})
+    monkeypatch.setattr(tree_memory, "_unused", OrderedDict())
     names, bounds = ("state", "value", "link", "region_cells", "cells"), ((0.0, 1.37), (0.0, 2.11))
     tree = new_tree(321, 4, 2, bounds)
     for name in names:
