@@ -11,9 +11,6 @@ if TYPE_CHECKING:
     from kraft.evaluation import Summary
     from kraft.evaluation.table import Table
 
-REMARK = "95 % CI: Wilson, of the success rate."
-REMARK_P = " p: exact McNemar against kraft on the same seeds."
-
 REMARK_MANY = "The tables of the entries, with intervals and measures, are in report.html and summary.json."
 
 
@@ -40,7 +37,7 @@ def show_tables(terminal: Terminal, summary: Summary) -> None:
     """Print a table for each entry, or one table for many; on a terminal with as many columns as fit."""
     from kraft.evaluation import labels, overview, tables
     from kraft.evaluation.summary import MANY
-    from kraft.evaluation.table import totals
+    from kraft.evaluation.table import MEANINGS, totals
 
     for label in labels(summary):
         terminal.data(f"score: {label}; 0.5 at best, 0 for collisions and timeouts")
@@ -58,7 +55,23 @@ def show_tables(terminal: Terminal, summary: Summary) -> None:
             terminal.table(table.heading, table.rows)
             terminal.data("")
             shown.update(table.heading)
-    terminal.data(REMARK + (REMARK_P if "p" in shown else ""))
+    _show_meanings(terminal, [(name, meaning) for name, meaning in MEANINGS.items() if name in shown])
+
+
+def _show_meanings(terminal: Terminal, meanings: Sequence[tuple[str, str]]) -> None:
+    """Print what columns hold; on a terminal the lines are wrapped."""
+    if not terminal.out.isatty():
+        width = max(len(name) for name, _ in meanings)
+        for name, meaning in meanings:
+            terminal.data(f"{name:<{width}}  {meaning}")
+        return
+    from rich.console import Console
+    from rich.table import Table as Grid
+
+    grid = Grid.grid(padding=(0, 2))
+    for name, meaning in meanings:
+        grid.add_row(name, meaning)
+    Console(file=terminal.out, highlight=False, markup=False).print(grid, style="dim")
 
 
 def _show_overview(terminal: Terminal, table: Table) -> None:

@@ -57,6 +57,24 @@ COLUMNS: Final = {
     "late": 2,
 }
 
+# What the columns hold whose heading does not say it: one line each below the tables in a terminal
+MEANINGS: Final = {
+    "T_ex s": "mean time of the successful trials",
+    "95 % CI": "Wilson's interval of the success rate",
+    "paper S/C/T": "successes, collisions, timeouts in the paper",
+    "paper T_ex": "mean time in the paper",
+    "p": "exact McNemar test against kraft on the same seeds",
+    "cont": "cycles that committed a contingency",
+    "delta": "ticks at which the true car was as near to its prediction as the method claimed",
+    "emerg": "contingencies that nothing verified",
+    "regr": "plans that cost over 0.5 s more than what was left of the last one",
+    "clear m": "smallest true distance to an obstacle",
+    "plan ms p50/p99": "planning time of a cycle",
+    "missed": "cycles that exceeded their planning time",
+    "cmd ms p50/p99": "time that the controller took for a command",
+    "late": "commands that took longer than the time between two of them",
+}
+
 
 def tables(summary: Summary) -> list[Table]:
     """One table for each entry; what cannot occur in any row has no column."""

@@ -17,7 +17,7 @@ from support.screen import Screen
 
 from kraft.evaluation import METHODS, evaluator
 from kraft.evaluation.suite import load_suite
-from kraft.evaluation.table import COLUMNS
+from kraft.evaluation.table import COLUMNS, MEANINGS
 from kraft_cli.main import main
 from kraft_cli.progress import Interrupts, Progress
 from kraft_cli.signals import Stopped
@@ -83,6 +83,10 @@ def test_a_pipe_gets_tables_on_stdout_and_a_line_for_each_trial_on_stderr(
     assert re.split(r"  +", out.splitlines()[1])[:5] == ["method", "succ", "coll", "timeout", "T_ex s"]
     assert "\033" not in out + err
     lines = err.splitlines()
+    headings = {cell for line in out.splitlines() if line.startswith("method") for cell in re.split(r"  +", line)}
+    explained = [re.split(r"  +", line)[0] for line in out[out.index("all entries") :].split("\n\n")[1].splitlines()]
+    assert explained == [name for name in MEANINGS if name in headings]
+    assert {"cont", "emerg", "regr", "clear m"} <= set(explained)
     assert lines[0] == "8 trials; results in o"
     assert all(re.match(rf"{n}/8  \w+ [\w-]+ seed \d: (success|collision|timeout)", lines[n]) for n in range(1, 9))
     assert lines[-1].endswith("o/report.html")
@@ -332,3 +336,4 @@ def test_every_column_of_the_tables_is_in_the_legend() -> None:
         name for row in re.findall(r"^\| (`.*?) \|", legend, re.MULTILINE) for name in re.findall(r"`(.+?)`", row)
     }
     assert columns == set(COLUMNS)
+    assert set(MEANINGS) == set(COLUMNS) - {"method", "succ", "coll", "timeout", "score", "failed"}
