@@ -171,10 +171,13 @@ def _stroke(look: str) -> Element:
 def _entry(results: Results, name: str, shown: Shown) -> Element:
     """Section of an entry; one of many is closed, and opens when its anchor is followed."""
     cell = results.entries[name]
-    mine = results.summary.of_entry(name)
+    every = results.summary.of_entry(name)
+    mine = [result for result in every if result.trials]
     title, settings = cell.base or name, settings_of(cell)
-    tables = [_table(results, name, mine), measures_table(shown, mine, name)]
+    tables = [_table(results, name, mine), measures_table(shown, mine, name)] if mine else []
     wide = [element("div", stacked(table), class_="wide") for table in tables if table is not None]
+    if waiting := ", ".join(result.title for result in every if not result.trials):
+        wide.append(element("p", f"Not run yet: {waiting}.", class_="key"))
     content = [
         element("div", _picture(results, name), element("div", *wide, class_="tables"), class_="scenario"),
         _unsuccessful(results, name),
