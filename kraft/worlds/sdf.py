@@ -6,7 +6,7 @@ import gzip
 import math
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -159,19 +159,55 @@ class _Reader:
         self.problems: list[Diagnostic] = []
 
     def world(self, world: Element) -> None:
-        """Read all models; the states at the end of a saved world repeat their poses."""
+        """Read all models.
+
+        Gazebo moves models and links to the poses of the first state, which it writes when it saves a world.
+        """
+        state = world.first("state")
+        moved = self.state(state) if state is not None else {}
         for child in world.children:
             if child.tag == "model":
-                self.model(child, ORIGIN, "")
+                self.model(child, ORIGIN, "", moved)
             elif child.tag in ("include", "actor", "population", "road"):
                 self.others.append((child.tag, child))
 
-    def model(self, model: Element, at: Pose, prefix: str) -> None:
+    def state(self, state: Element) -> dict[str, Pose]:
+        """Poses in the world of models and links by their full names, as in ``table/leg`` and ``table/leg::link``."""
+        for tag in ("insertions", "deletions"):
+            if (changes := state.first(tag)) is not None and changes.children:
+                self.problem(changes, "changes the models", "expected a world without such changes", Code.UNKNOWN)
+        return {name: pose for model in state.each("model") for name, pose in self.states(model, "")}
+
+    def states(self, model: Element, prefix: str) -> Iterator[tuple[str, Pose]]:
+        """Poses in the world in the state of a model."""
         name = prefix + model.attributes.get("name", "")
-        pose = _placed(at, self.pose(model))
+        scale = model.first("scale")
+        if scale is not None and any(value != 1.0 for value in self.read(scale, 3) if not math.isnan(value)):
+            self.problem(
+                scale, f"is {' '.join(scale.text.split())}", "expected 1 1 1, and shapes of that size", Code.VALUE
+            )
+        if model.first("pose") is not None:
+            yield name, self.pose(model)
         for link in model.each("link"):
+            if link.first("pose") is not None:
+                yield f"{name}::{link.attributes.get('name', '')}", self.pose(link)
+        for child in model.each("model"):
+            yield from self.states(child, f"{name}/")
+
+    def model(self, model: Element, at: Pose, prefix: str, moved: Mapping[str, Pose]) -> None:
+        """Add the shapes of a model in a parent at a pose; `moved` has the poses in the world of what was moved."""
+        name = prefix + model.attributes.get("name", "")
+        if frame := model.attributes.get("placement_frame"):
+            self.problem(
+                model, f"is placed by its frame {frame!r}", "expected a pose of the model itself", Code.UNKNOWN
+            )
+        stated = _placed(at, self.pose(model))
+        pose = moved.get(name, stated)
+        for link in model.each("link"):
+            stated = _placed(pose, self.pose(link))
+            on = moved.get(f"{name}::{link.attributes.get('name', '')}", stated)
             for collision in link.each("collision"):
-                place = _placed(_placed(pose, self.pose(link)), self.pose(collision))
+                place = _placed(on, self.pose(collision))
                 geometry = collision.first("geometry")
                 shape = geometry.children[0] if geometry is not None and geometry.children else None
                 if shape is None:
@@ -180,7 +216,7 @@ class _Reader:
                     self.shape(shape, place, name)
         for child in model.children:
             if child.tag == "model":
-                self.model(child, pose, f"{name}/")
+                self.model(child, pose, f"{name}/", moved)
             elif child.tag == "include":
                 self.others.append(("include", child))
 

@@ -33,8 +33,7 @@ def model(name: str, shape: str, pose: str = "0 0 0 0 0 0", inner: str = "") -> 
 GROUND = model("ground", "<plane><normal>0 0.0 1.00</normal><size>9 9</size></plane>")
 
 
-def sdf(*models: str) -> str:
-    state = "<state world_name='default'>" + model("post", CYLINDER, "9 9 0 0 0 0") + "</state>"
+def sdf(*models: str, state: str = "") -> str:
     return f"<sdf version='1.6'>\n<world name='default'>\n{GROUND}{''.join(models)}{state}</world></sdf>\n"
 
 
@@ -52,7 +51,7 @@ def problems(tmp_path: Path, text: str, **settings: object) -> list[tuple[Code, 
     return [(d.code, Path(d.file).name, d.line, d.column) for d in caught.value.diagnostics]
 
 
-def test_cylinders_boxes_and_spheres_keep_their_places_and_the_state_is_not_read(tmp_path: Path) -> None:
+def test_cylinders_boxes_and_spheres_keep_their_places(tmp_path: Path) -> None:
     half_turn = f"0 0 0 0 0 {math.pi / 2}"
     out = imported(
         tmp_path,
@@ -70,6 +69,46 @@ def test_cylinders_boxes_and_spheres_keep_their_places_and_the_state_is_not_read
     assert (wall.size, wall.yaw) == ((2.0, 0.2), pytest.approx(0.75))
     assert isinstance(ball, Circle)
     assert (*ball.center, ball.radius, ball.height) == pytest.approx((0.0, 2.0, 0.3, 0.4))
+
+
+def test_the_state_of_a_saved_world_moves_models_and_links(tmp_path: Path) -> None:
+    box = "<box><size>2 0.2 1</size></box>"
+    leg = model("leg", CYLINDER, "1 0 0 0 0 0")
+    state = (
+        "<state world_name='default'>"
+        "<model name='wall'><pose>3 4 0 0 0 0.5</pose><scale>1 1 1</scale></model>"
+        "<model name='door'><pose>1 6 0 0 0 0</pose><link name='link'><pose>1 7 0 0 0 0.25</pose></link></model>"
+        "<model name='table'><pose>5 5 0 0 0 0</pose><model name='leg'><pose>6 5.5 0 0 0 0</pose></model></model>"
+        "<model name='gone'><pose>0 0 0 0 0 0</pose></model></state>"
+    )
+    models = (
+        model("wall", box, "1 6 0 0 0 0"),
+        model("door", box, "1 6 0 0 0 0"),
+        f"<model name='table'><pose>2 2 0 0 0 0</pose>{leg}</model>",
+        model("post", CYLINDER, "1 8 0 0 0 0"),
+    )
+    out = imported(tmp_path, sdf(*models, state=state))
+    wall, door, leg_at, post = load_scenario(out / "barn-7.yaml").obstacles
+    assert isinstance(wall, Box)
+    assert isinstance(door, Box)
+    assert (wall.center, wall.yaw) == (pytest.approx((3.0, 4.0)), pytest.approx(0.5))
+    assert (door.center, door.yaw) == (pytest.approx((1.0, 7.0)), pytest.approx(0.25))
+    assert isinstance(leg_at, Circle)
+    assert isinstance(post, Circle)
+    assert (leg_at.center, post.center) == (pytest.approx((6.0, 5.5)), pytest.approx((1.0, 8.0)))
+
+
+@pytest.mark.parametrize(
+    ("state", "code"),
+    [
+        ("<model name='post'>\n<scale>2 1 1</scale></model>", Code.VALUE),
+        ("\n<insertions><model name='more'/></insertions>", Code.UNKNOWN),
+        ("\n<deletions><name>post</name></deletions>", Code.UNKNOWN),
+    ],
+)
+def test_a_state_that_scales_or_adds_or_deletes_models_is_refused(tmp_path: Path, state: str, code: Code) -> None:
+    text = sdf(model("post", CYLINDER), state=f"<state world_name='default'>{state}</state>")
+    assert problems(tmp_path, text, skip=True) == [(code, "world_7.world", 8, 1)]
 
 
 def test_angles_may_be_in_degrees(tmp_path: Path) -> None:
@@ -120,6 +159,7 @@ def test_other_starts_and_goals_are_taken_and_have_no_score(tmp_path: Path) -> N
         (sdf(model("post", "<cylinder><radius>-1</radius><length>1</length></cylinder>")), Code.VALUE, 6),
         (sdf(model("post", CYLINDER, "0 0 zero 0 0 0")), Code.VALUE, 5),
         (sdf(model("post", CYLINDER).replace("<pose>", "<pose relative_to='map'>")), Code.UNKNOWN, 5),
+        (sdf("<model placement_frame='x' " + model("post", CYLINDER)[7:]), Code.UNKNOWN, 5),
         (sdf(model("post", CYLINDER).replace("<pose>", "<pose rotation_format='quat_xyzw'>")), Code.UNKNOWN, 5),
         (sdf(model("post", CYLINDER, "-2.25 3 0 0 0 0")), Code.GEOMETRY, 2),
     ],
