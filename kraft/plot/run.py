@@ -164,7 +164,7 @@ def _legend_entries(
     if any(cycle.kind is ReferenceKind.CONTINGENCY for cycle in drive.result.cycles):
         entries.append(LegendEntry("contingency", "dashes", WARNING, 1.6))
     entries += [
-        LegendEntry("estimated speed", "line", ESTIMATED, 1.2),
+        LegendEntry("estimated speed", "line", ESTIMATED, ESTIMATED_WIDTH),
         LegendEntry("true values", "line", INK, 1.6),
         LegendEntry("camera", "dots", OBSERVATION, 2 * OBSERVATION_SIZE),
         LegendEntry("a cycle begins", "line", RULE, 0.5),
@@ -179,6 +179,7 @@ def _legend_entries(
 
 
 ESTIMATED: Final = "#a3178f"
+ESTIMATED_WIDTH: Final = 2.6  # pt; wider than the planned speed on it, because some methods estimate just that
 OBSERVATION: Final = "#7d8896"
 OBSERVATION_SIZE: Final = 2.4  # pt
 COLLISION: Final = "#c1121f"
@@ -220,8 +221,8 @@ def panels_of_run(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list
         estimated = np.array([step.estimate[index] for step in steps])
         thin = {**true, "linewidth": 0.9}
         curves = (
+            Curve(times, estimated, {**thin, "color": ESTIMATED, "linewidth": ESTIMATED_WIDTH}),
             Curve(times, planned, {**thin, "color": CYCLE}),
-            Curve(times, estimated, {**thin, "color": ESTIMATED}),
         )
         speeds = [*curves, *speeds]
     everything = np.concatenate([curve.values for curve in speeds])

@@ -101,13 +101,20 @@ def test_the_curves_are_those_of_the_drive(driven: TrialResult) -> None:
     speed, clearance, throttle, steering = panels_of_run(
         DrivenTrajectory.of(driven, MOVABLE.start), MOVABLE.task(), MUSHR
     )
-    planned, estimated, true = speed.curves
+    estimated, planned, true = speed.curves
     assert true.values == pytest.approx([step.speed for step in driven.steps])
     assert estimated.values == pytest.approx([step.estimate[3] for step in driven.steps])
     assert np.isfinite(planned.values).any()
     assert clearance.curves[0].values.min() == pytest.approx(driven.min_clearance, abs=1e-9)
     assert throttle.curves[0].values == pytest.approx([step.command[0] for step in driven.steps])
     assert steering.curves[0].values == pytest.approx([step.command[1] for step in driven.steps])
+
+
+def test_a_planned_speed_that_is_also_the_estimated_one_stays_visible(driven: TrialResult) -> None:
+    speed, *_ = panels_of_run(DrivenTrajectory.of(driven, MOVABLE.start), MOVABLE.task(), MUSHR)
+    estimated, planned, true = (curve.style for curve in speed.curves)  # in the order in which they are drawn
+    assert estimated["linewidth"] > planned["linewidth"]
+    assert estimated["zorder"] <= planned["zorder"] <= true["zorder"]
 
 
 def test_the_axes_of_commands_end_at_the_bounds_of_the_vehicle(driven: TrialResult) -> None:
