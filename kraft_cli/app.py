@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from kraft import __version__
 from kraft_cli.commands.doctor import doctor
@@ -58,16 +59,28 @@ def common(
         raise typer.Exit(ExitStatus.INVALID)
 
 
-app.command("plan")(plan)
-app.command("run")(run)
-app.command("eval")(eval_)
-app.command("drive")(drive)
-app.command("world")(world)
-app.command("report")(report)
-app.command("record")(record)
-app.command("sysid")(sysid)
-app.command("import")(import_)
-app.command("generate")(generate)
-app.command("validate")(validate)
-app.command("list")(list_)
-app.command("doctor")(doctor)
+class _Command(TyperCommand):
+    """Command that is named by all its errors of usage, also by those that the parser raises without their context."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        try:
+            return super().parse_args(ctx, args)
+        except typer.TyperException as error:
+            if getattr(error, "ctx", ctx) is None:
+                vars(error)["ctx"] = ctx
+            raise
+
+
+app.command("plan", cls=_Command)(plan)
+app.command("run", cls=_Command)(run)
+app.command("eval", cls=_Command)(eval_)
+app.command("drive", cls=_Command)(drive)
+app.command("world", cls=_Command)(world)
+app.command("report", cls=_Command)(report)
+app.command("record", cls=_Command)(record)
+app.command("sysid", cls=_Command)(sysid)
+app.command("import", cls=_Command)(import_)
+app.command("generate", cls=_Command)(generate)
+app.command("validate", cls=_Command)(validate)
+app.command("list", cls=_Command)(list_)
+app.command("doctor", cls=_Command)(doctor)

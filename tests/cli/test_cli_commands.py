@@ -72,6 +72,8 @@ def test_all_problems_of_all_files_are_shown(files: Path, capsys: pytest.Capture
         (["list", "vehicle"], 2, "vehicle: cannot be listed; did you mean 'vehicles'?\n"),
         (["lst"], 2, "error: No such command 'lst'. Did you mean 'list'?\ntry 'kraft --help'\n"),
         (["plan", "--json", "turnz", "--after", "1"], 2, "--after: is given without --from; expected --from PLAN too\nturnz: there is no scenario of this name; did you mean 'turns'? (or the path of a .yaml file)\n"),
+        (["plan", "turns", "--set"], 2, "error: Option '--set' requires an argument.\ntry 'kraft plan --help'\n"),
+        (["run", "turns", "--json=1"], 2, "error: Option '--json' does not take a value.\ntry 'kraft run --help'\n"),
         (["--json", "plan", "turns"], 2, "error: No such option before the command: --json; expected it after, as in 'kraft COMMAND --json'\ntry 'kraft --help'\n"),
         (["plan", "folder"], 2, "folder: is a folder; expected the path of a .yaml file or the name of a scenario\n"),
         (["plan", "folder.yaml"], 2, "folder.yaml: is a folder; expected the path of a .yaml file or the name of a scenario\n"),
