@@ -76,13 +76,17 @@ class _Inputs:
 
 @dataclass(frozen=True)
 class PlanOutcome:
-    """Request, its resolved task and vehicle, and the result; `plan_file` is None if none was written."""
+    """Request, its resolved task and vehicle, and the result; `plan_file` is None if none was written.
+
+    `replaced` is true if an earlier plan that differs was in its place.
+    """
 
     request: PlanRequest
     task: Task
     vehicle: Vehicle
     result: PlanResult
     plan_file: Path | None
+    replaced: bool = False
 
 
 def run_plan(
@@ -110,17 +114,20 @@ def run_plan(
     (report if needed >= MUCH_MEMORY else detail)(f"the maps need at most {in_words(needed)} of memory")
     result = plan_task(task, vehicle, seed=request.seed, previous=previous, threads=request.threads)
     timer.report("planned, with maps and verification,")
+    replaced = False
     if target is not None and result.plan is not None:
         changed = {each.key: plain_value(each.value) for each in inputs.settings}
         origin = Origin(request.scenario, request.vehicle or task.vehicle, previous, changed)
+        earlier = target.read_bytes() if target.exists() else None
         write_plan(target, task, vehicle, result, origin)
+        replaced = earlier not in (None, target.read_bytes())
     else:
         target = None
     if request.plot is not None:
         _draw(request.plot, task, vehicle, result)
     if target is not None or request.plot is not None:
         timer.report("written and drawn")
-    return PlanOutcome(request, task, vehicle, result, target)
+    return PlanOutcome(request, task, vehicle, result, target, replaced)
 
 
 def _inputs(request: PlanRequest, report: Callable[[str], None]) -> _Inputs:
@@ -261,6 +268,7 @@ def plan_json(outcome: PlanOutcome) -> dict[str, Any]:
         "safe": result.safe,
         "problems": [str(problem) for problem in verification.problems] if verification else [],
         "plan_file": str(outcome.plan_file) if outcome.plan_file else None,
+        "replaced": outcome.replaced,
     }
 
 
@@ -278,11 +286,10 @@ def table_rows(outcome: PlanOutcome) -> list[tuple[str, str]]:
         rows.append(("clearance", f"{metres(result.verification.min_clearance)} at least, verified with FCL"))
     if plan is not None and plan.contingency is not None:
         stop = plan.contingency
-        clearance = metres(result.verification.contingency_clearance) if result.verification else "-"
-        stands = stop.times[-1] - stop.times[0]
-        rows.append(
-            ("contingency", f"{stop.manoeuvre} at {stop.times[0]:.2f} s, stands {stands:.1f} s later, {clearance}")
-        )
+        text = f"{stop.manoeuvre} at {stop.times[0]:.2f} s, stands {stop.times[-1] - stop.times[0]:.1f} s later"
+        if result.verification is not None:
+            text += f", clearance {metres(result.verification.contingency_clearance)} at least"
+        rows.append(("contingency", text))
     if result.verification is not None and result.verification.problems:
         rows.append(("not safe", "\n".join(map(str, result.verification.problems))))
     if progress.retained:
@@ -290,7 +297,8 @@ def table_rows(outcome: PlanOutcome) -> list[tuple[str, str]]:
     if progress.iterations:
         rows.append(("search", _search(result)))
     if outcome.plan_file is not None:
-        rows.append(("plan file", str(outcome.plan_file)))
+        remark = ", instead of another plan that was there" if outcome.replaced else ""
+        rows.append(("plan file", f"{outcome.plan_file}{remark}"))
     if outcome.request.plot is not None:
         rows.append(("picture", str(outcome.request.plot)))
     return rows
@@ -303,7 +311,8 @@ def notes(result: PlanResult) -> dict[str, str]:
         return {}
     found = {"duration": f"{plan.cost:.2f} s", "clearance": metres(verification.min_clearance)}
     if plan.contingency is not None:
-        found["contingency"] = f"{plan.contingency.manoeuvre}, {metres(verification.contingency_clearance)}"
+        clearance = metres(verification.contingency_clearance)
+        found["contingency"] = f"{plan.contingency.manoeuvre}, clearance {clearance}"
     return {**found, "iterations": f"{result.progress.iterations:,}", "nodes": f"{result.progress.nodes:,}"}
 
 

@@ -97,6 +97,19 @@ def test_the_plan_file_is_written_where_asked_and_only_then(tmp_path: Path, caps
     assert read_plan(Path(content["plan_file"])).cost == content["cost_s"]
 
 
+def test_a_plan_that_replaces_another_one_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    replaced = [run_json(capsys, "room.yaml", "--seed", seed, "--out", "plans")["replaced"] for seed in ("1", "1", "2")]
+    assert replaced == [False, False, True]
+    assert main(["plan", "room.yaml", "--seed", "3", "--out", "plans"]) == 0
+    assert "plans/plan.json, instead of another plan that was there" in capsys.readouterr().out
+
+
+def test_a_length_beside_the_contingency_is_said_to_be_its_clearance(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "room.yaml"]) == 0
+    (row,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("contingency"))
+    assert re.search(r" later, clearance \d\.\d+ m at least$", row)
+
+
 def test_two_processes_write_the_same_bytes(tmp_path: Path) -> None:
     for folder in ("a", "b"):
         command = [sys.executable, "-m", "kraft_cli", "plan", "room.yaml", "--seed", "7", "--out", folder, "-q"]
