@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -16,7 +17,7 @@ from kraft.files import check_new_folder, new_folder
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_placement, check_reachable
 from kraft.planning.workspace import start_state, vehicle_of_task
-from kraft.scenario import Scenario, parse_scenario
+from kraft.scenario import Trial, parse_scenario
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 
 Log: TypeAlias = Callable[[str], None]
@@ -27,6 +28,10 @@ DIGITS: Final = 12
 """Of the numbers in a scenario file."""
 HEIGHT: Final = 6.0
 """Height of the camera, m."""
+LEAST_TIMES: Final = 3.0
+"""Limit of time for drives over a long way, in least times to the goal."""
+LIMIT_MAX: Final = 86_400
+"""Longest limit of time in a scenario file, s."""
 Start = tuple[float, float, float]
 """x, y (m) and heading (degrees)."""
 Goal = tuple[float, float, float]
@@ -138,7 +143,8 @@ def write_worlds(worlds: Sequence[World], out: Path, suite: str, description: st
             for name, content in {**world.files, f"{world.name}.yaml": world.text.encode()}.items():
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 (folder / name).write_bytes(content)
-        _check_all(worlds, out, folder, log)
+        for world, least in zip(worlds, _check_all(worlds, out, folder, log), strict=True):
+            (folder / f"{world.name}.yaml").write_bytes(_with_time(world, least).text.encode())
         entries = [f"  - {{name: {world.name}, scenario: {world.name}.yaml}}" for world in worlds]
         heading = [f"name: {value_text(plain_name(suite))}", f"description: {value_text(description)}", "entries:"]
         (folder / SUITE).write_text("\n".join([*heading, *entries]) + "\n", encoding="utf-8")
@@ -153,12 +159,22 @@ def _check_names(worlds: Sequence[World]) -> None:
         raise InputError.of("sources", problem, "expected sources with different names", Code.DUPLICATE)
 
 
-def _check_all(worlds: Sequence[World], out: Path, folder: Path, log: Log) -> None:
+def _with_time(world: World, least: float) -> World:
+    """World with limits of time for a way of at least so many seconds, if it has none and the usual one is short."""
+    limit = float(min(math.ceil(LEAST_TIMES * least), LIMIT_MAX))
+    if "trial" in world.content or limit <= Trial().timeout:
+        return world
+    return replace(world, content={**world.content, "trial": {"timeout": limit, "oneshot_timeout": limit}})
+
+
+def _check_all(worlds: Sequence[World], out: Path, folder: Path, log: Log) -> list[float]:
+    """Least time (s) to the goal of each world."""
+    times: list[float] = []
     problems: list[Diagnostic] = []
     enclosed: list[Diagnostic] = []
     for number, world in enumerate(worlds, 1):
         try:
-            check(world, out, folder, log)
+            times.append(check(world, out, folder, log))
         except InputError as error:
             problems += error.diagnostics
         except Unreachable as error:
@@ -169,9 +185,10 @@ def _check_all(worlds: Sequence[World], out: Path, folder: Path, log: Log) -> No
         raise InputError(problems + enclosed)
     if enclosed:
         raise Unreachable(enclosed)
+    return times
 
 
-def check(world: World, out: Path, folder: Path, log: Log = no_log) -> Scenario:
+def check(world: World, out: Path, folder: Path, log: Log = no_log) -> float:
     """Check that a world is a valid scenario with a free start and a goal that its vehicle may reach.
 
     Args:
@@ -179,6 +196,9 @@ def check(world: World, out: Path, folder: Path, log: Log = no_log) -> Scenario:
         out: folder that messages name.
         folder: folder in which its files are.
         log: gets a message before kernels are compiled.
+
+    Returns:
+        Least time to the goal: of the shortest path at top speed, s.
 
     Raises:
         InputError: with every problem, where the source has the value.
@@ -189,12 +209,11 @@ def check(world: World, out: Path, folder: Path, log: Log = no_log) -> Scenario:
         vehicle = vehicle_of_task(scenario)
         ensure_compiled(vehicle, log, heading=scenario.goal.heading is not None)
         check_placement(scenario, vehicle, start_state(scenario, vehicle))
-        check_reachable(scenario, vehicle)
+        return check_reachable(scenario, vehicle)
     except InputError as error:
         raise InputError(_at_source(world, each) for each in error.diagnostics) from error
     except Unreachable as error:
         raise Unreachable(_at_source(world, each) for each in error.diagnostics) from error
-    return scenario
 
 
 def _at_source(world: World, found: Diagnostic) -> Diagnostic:

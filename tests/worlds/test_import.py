@@ -308,6 +308,20 @@ def test_a_map_is_found_from_a_folder_that_is_a_link(tmp_path: Path) -> None:
     assert load_scenario(out / "floor.yaml").bounds.x == (1.0, 7.0)
 
 
+@pytest.mark.parametrize(("scale", "limits"), [(1, (60.0, 30.0)), (10, (189.0, 189.0))])
+def test_a_long_way_has_a_limit_of_time_of_three_least_times(
+    tmp_path: Path, scale: int, limits: tuple[float, float]
+) -> None:
+    source = map_file(tmp_path)
+    text = source.read_text()
+    assert "resolution: 0.1\n" in text
+    source.write_text(text.replace("resolution: 0.1\n", f"resolution: {0.1 * scale}\n"))
+    start, goal = (1.0 + scale, 2.0 + 2.0 * scale, 0.0), (1.0 + 5.0 * scale, 2.0 + 2.0 * scale, 0.25)
+    import_worlds(Request("map", (source,), tmp_path / "out", start, goal, "mushr"))
+    trial = load_scenario(tmp_path / "out" / "floor.yaml").trial  # 4 m, or 40 m, at 0.63 m/s
+    assert (trial.timeout, trial.oneshot_timeout) == pytest.approx(limits, rel=0.03)
+
+
 @pytest.mark.parametrize("yaw", [0.6, -0.6, 2.0, math.pi / 2, 3.5])
 def test_what_is_outside_of_a_turned_map_is_not_free(tmp_path: Path, yaw: float) -> None:
     source = map_file(tmp_path)
