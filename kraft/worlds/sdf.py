@@ -201,13 +201,13 @@ class _Reader:
             self.problem(
                 model, f"is placed by its frame {frame!r}", "expected a pose of the model itself", Code.UNKNOWN
             )
-        stated = _placed(at, self.pose(model))
+        stated = _placed(at, self.pose(model, "__model__" if prefix else "world"))
         pose = moved.get(name, stated)
         for link in model.each("link"):
-            stated = _placed(pose, self.pose(link))
-            on = moved.get(f"{name}::{link.attributes.get('name', '')}", stated)
+            link_name = link.attributes.get("name", "")
+            on = moved.get(f"{name}::{link_name}", _placed(pose, self.pose(link, "__model__")))
             for collision in link.each("collision"):
-                place = _placed(on, self.pose(collision))
+                place = _placed(on, self.pose(collision, link_name))
                 geometry = collision.first("geometry")
                 shape = geometry.children[0] if geometry is not None and geometry.children else None
                 if shape is None:
@@ -253,15 +253,17 @@ class _Reader:
         x, y, z = self.read(normal, 3)
         return z > 0.0 and math.hypot(x, y) <= UPRIGHT * z
 
-    def pose(self, element: Element) -> Pose:
-        """Pose of an element in its parent."""
+    def pose(self, element: Element, parent: str = "") -> Pose:
+        """Pose of an element in its parent, to which it may be relative by its name."""
         pose = element.first("pose")
-        if pose is None or not pose.text.strip():
+        if pose is None:
             return ORIGIN
         for key in ("relative_to", "frame"):
-            if frame := pose.attributes.get(key):
+            if (frame := pose.attributes.get(key, "")) not in ("", parent):
                 self.problem(pose, f"is relative to {frame!r}", "expected a pose in its parent", Code.UNKNOWN)
                 return ORIGIN
+        if not pose.text.strip():
+            return ORIGIN
         rotation = pose.attributes.get("rotation_format", "euler_rpy")
         if rotation != "euler_rpy":
             self.problem(pose, f"has the rotation format {rotation!r}", "expected euler_rpy", Code.UNKNOWN)

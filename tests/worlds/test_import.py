@@ -111,6 +111,17 @@ def test_a_state_that_scales_or_adds_or_deletes_models_is_refused(tmp_path: Path
     assert problems(tmp_path, text, skip=True) == [(code, "world_7.world", 8, 1)]
 
 
+def test_a_pose_may_be_relative_to_its_parent_by_name(tmp_path: Path) -> None:
+    post = (
+        "<model name='post'><pose relative_to='world'>1 6 0 0 0 0</pose><link name='leg'>"
+        "<pose relative_to='__model__'>0.5 0 0 0 0 0</pose><collision name='c'>"
+        f"<pose relative_to='leg'>0 0.25 0 0 0 0</pose><geometry>{CYLINDER}</geometry></collision></link></model>"
+    )
+    (found,) = load_scenario(imported(tmp_path, sdf(post)) / "barn-7.yaml").obstacles
+    assert isinstance(found, Circle)
+    assert found.center == pytest.approx((1.5, 6.25))
+
+
 def test_angles_may_be_in_degrees(tmp_path: Path) -> None:
     text = sdf(model("wall", "<box><size>2 0.2 1</size></box>", "1 6 0 0 0 90"))
     out = imported(tmp_path, text.replace("<pose>1 6", "<pose degrees='true'>1 6"))
@@ -159,6 +170,11 @@ def test_other_starts_and_goals_are_taken_and_have_no_score(tmp_path: Path) -> N
         (sdf(model("post", "<cylinder><radius>-1</radius><length>1</length></cylinder>")), Code.VALUE, 6),
         (sdf(model("post", CYLINDER, "0 0 zero 0 0 0")), Code.VALUE, 5),
         (sdf(model("post", CYLINDER).replace("<pose>", "<pose relative_to='map'>")), Code.UNKNOWN, 5),
+        (
+            sdf("<model name='post'><pose relative_to='dock'/>" + model("", CYLINDER).partition("</pose>")[2]),
+            Code.UNKNOWN,
+            5,
+        ),
         (sdf("<model placement_frame='x' " + model("post", CYLINDER)[7:]), Code.UNKNOWN, 5),
         (sdf(model("post", CYLINDER).replace("<pose>", "<pose rotation_format='quat_xyzw'>")), Code.UNKNOWN, 5),
         (sdf(model("post", CYLINDER, "-2.25 3 0 0 0 0")), Code.GEOMETRY, 2),
