@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from ompl import base as ob
 from ompl import control as oc
+from ompl import util as ou
 
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.configuration import Bounds, Configuration, ControlLayout, goal_configuration, state_reader
@@ -79,7 +80,8 @@ class CallbackSearch:
         self._states: list[ob.State] = []
         self._free: list[int] = []  # slots of states that are neither a node's nor a lane's
         self._distance: list[float] = []  # of each state to the goal region, as the goal measures it
-        self._is_region = isinstance(goal, ob.GoalRegion)  # the distance alone decides
+        # the distance alone decides, unless a class of the user's says otherwise
+        self._is_region = isinstance(goal, ob.GoalRegion) and _inherits_is_satisfied(goal)
         self._goal_distance = getattr(goal, "distanceGoal", lambda state: 0.0)  # a goal without a distance
         self._threshold = 0.0
         self._step = si.getPropagationStepSize()
@@ -98,6 +100,7 @@ class CallbackSearch:
         self._scratch = si.allocState()
         self._start = self._scratch
         self._inserted = 0
+        self._undefined = 0  # states without a configuration or a distance to the goal, which are omitted
         self._stop = np.zeros(1, np.int64)  # 1 ends a run of the kernel
         self._asks_to_stop: Callable[[], bool] = _never
         self._error: BaseException | None = None  # of a callback, in this run
@@ -165,7 +168,7 @@ class CallbackSearch:
         self._free_unused_states()
 
     def add_root(self, state: ob.State) -> None:
-        """Add a start state.
+        """Add a start state; one whose configuration or distance to the goal is not a number is omitted.
 
         Raises:
             MemoryError: if the tree has `max_nodes` nodes.
@@ -175,8 +178,9 @@ class CallbackSearch:
         self._si.copyState(self._states[slot], state)
         self._work.source[0] = slot
         self._read_threshold()
-        self._measure(slot)
-        self._describe(0, slot)
+        if not (self._measure(slot) and self._describe(0, slot)):
+            self._free.append(slot)
+            return
         if self._work.at_goal[0] == 1 and self._safety is not None and self._safety(state) is None:
             self._work.at_goal[0] = 0  # no plan may end there
         add_root(self._tree, self._work)
@@ -203,6 +207,15 @@ class CallbackSearch:
                 if self._tree.count[at.SIZE] > 0.9 * self._settings.max_nodes:
                     return
             stopped = bool(self._stop[0]) or bool(stop())
+
+    def warn_of_undefined_states(self) -> None:
+        """Warn of valid states without a configuration or a distance to the goal, which were omitted."""
+        if self._undefined:
+            ou.OMPL_WARN(
+                f"DIRT: {self._undefined} valid states were omitted: their configuration or "
+                "their distance to the goal is not a number"
+            )
+            self._undefined = 0
 
     def _prune(self) -> None:
         """Prune the tree and free the states of the removed nodes."""
@@ -281,15 +294,13 @@ class CallbackSearch:
             self._control.write(work.control[lane::LANE_WIDTH].tolist(), controls[lane])
         propagate = self._si.propagateWhileValid
         done = [propagate(start, controls[lane], steps[lane], states[slots[lane]]) for lane in range(lanes)]
-        valid = [lane for lane in range(lanes) if done[lane] == steps[lane]]
-        for lane in valid:
-            self._measure(slots[lane])
+        valid = [lane for lane in range(lanes) if done[lane] == steps[lane] and self._measure(slots[lane])]
         if self._learns_top_speed:
             self._learn_top_speed(start_slot, valid)
         for lane in valid:
-            self._describe(lane, slots[lane])
-            work.trajectory[self._last + lane] = slots[lane]
-            work.slack[lane] = 0.0
+            if self._describe(lane, slots[lane]):
+                work.trajectory[self._last + lane] = slots[lane]
+                work.slack[lane] = 0.0
 
     def _safe(self, lane: int, start_time: float) -> int:
         """SAFETY where an edge crosses the end of the cycle: propagate to that time again and call the checker."""
@@ -298,9 +309,13 @@ class CallbackSearch:
         self._si.propagate(self._start, self._lane_control[lane], steps, self._scratch)
         return 0 if self._safety(self._scratch) is not None else -1
 
-    def _measure(self, slot: int) -> None:
-        """Store a state's distance to the goal region."""
-        self._distance[slot] = self._goal_distance(self._states[slot]) - self._threshold
+    def _measure(self, slot: int) -> bool:
+        """Store a state's distance to the goal region; false if it is not a number."""
+        self._distance[slot] = distance = self._goal_distance(self._states[slot]) - self._threshold
+        if math.isnan(distance):
+            self._undefined += 1
+            return False
+        return True
 
     def _learn_top_speed(self, start_slot: int, lanes: list[int]) -> None:
         """Raise the top speed to the fastest of some edges, and lower every cost-to-go of the tree with it.
@@ -310,21 +325,30 @@ class CallbackSearch:
         """
         work, distance, start = self._view, self._distance, self._distance[start_slot]
         speeds = [(start - distance[self._lane_slot[lane]]) / work.duration[lane] for lane in lanes]
-        fastest = max(speeds, default=0.0)
+        fastest = max(filter(math.isfinite, speeds), default=0.0)  # nothing follows from an infinite distance
         if fastest <= self._top_speed:
             return
         self._top_speed = TOP_SPEED_MARGIN * fastest
         slots = self._tree.state[: self.count(at.SIZE), 0].astype(np.int64).tolist()
-        togo = np.maximum(np.array([distance[slot] for slot in slots]), 0.0) / self._top_speed
+        known = np.array([distance[slot] for slot in slots])
+        togo = np.where(known < math.inf, np.maximum(known, 0.0), 0.0) / self._top_speed
         cycle = self._settings.cycle if self._safety is not None else 0.0
         set_costs_to_go(self._tree, togo, self._settings.resolution, cycle)
 
-    def _describe(self, lane: int, slot: int) -> None:
-        """Write configuration, cost-to-go and goal of a state as the end of a lane; its distance is known."""
+    def _describe(self, lane: int, slot: int) -> bool:
+        """Write configuration, cost-to-go and goal of a state as the end of a lane; its distance is known.
+
+        False if the configuration is not finite.  An infinite distance bounds no cost: the cost-to-go is 0.
+        """
         state, work, distance = self._states[slot], self._view, self._distance[slot]
-        work.end[lane], work.end[LANE_WIDTH + lane] = self._configuration(state)
-        work.togo[lane] = distance / self._top_speed if distance > 0.0 and self._top_speed > 0.0 else 0.0
+        x, y = self._configuration(state)
+        if not (math.isfinite(x) and math.isfinite(y)):
+            self._undefined += 1
+            return False
+        work.end[lane], work.end[LANE_WIDTH + lane] = x, y
+        work.togo[lane] = distance / self._top_speed if 0.0 < distance < math.inf and self._top_speed > 0.0 else 0.0
         work.at_goal[lane] = distance < 0.0 if self._is_region else self._goal.isSatisfied(state)
+        return True
 
     def _read_threshold(self) -> None:
         """Read the goal's threshold, which may have changed."""
@@ -352,6 +376,12 @@ class CallbackSearch:
             if slot in self._lane_slot:
                 self._lane_slot[self._lane_slot.index(slot)] = self._new_state()
         self._inserted = size
+
+
+def _inherits_is_satisfied(goal: ob.Goal) -> bool:
+    """Whether no Python class of a goal has an `isSatisfied` of its own; OMPL's are in the package `ompl`."""
+    own = [kind for kind in type(goal).__mro__ if "isSatisfied" in vars(kind)]
+    return own[0].__module__.split(".")[0] == "ompl"
 
 
 def _never() -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -10,6 +11,19 @@ from ompl import control as oc
 
 Configuration = Callable[[ob.State], tuple[float, float]]
 Bounds = tuple[tuple[float, float], tuple[float, float]]
+
+
+def check_plane(bounds: Bounds) -> None:
+    """Check the bounds of the plane of the regions.
+
+    Raises:
+        ValueError: they are not two pairs of finite numbers with low < high.
+    """
+    pairs = [tuple(map(float, pair)) for pair in bounds]
+    if len(pairs) != 2 or any(len(pair) != 2 or not -math.inf < pair[0] < pair[1] < math.inf for pair in pairs):
+        raise ValueError(
+            f"bounds of the plane of the regions: {bounds}; expected ((low, high), (low, high)), finite with low < high"
+        )
 
 
 def default_configuration(space: ob.StateSpace) -> tuple[Configuration, Bounds]:
@@ -69,12 +83,20 @@ def state_reader(space: ob.StateSpace) -> Callable[[ob.State], list[float]]:
 
 
 class ControlLayout:
-    """Layout of the controls of a real-vector space, or of a compound of such spaces, as rows of floats."""
+    """Layout of the controls of a real-vector space, or of a compound of such spaces, as rows of floats.
+
+    Raises:
+        TypeError: the space is of another kind.
+        ValueError: its bounds are not finite.
+    """
 
     def __init__(self, space: oc.ControlSpace) -> None:
         self._leaves: list[tuple[tuple[int, ...], int]] = []
         bounds: list[tuple[float, float]] = []
         self._collect(space, (), bounds)
+        for k, (low, high) in enumerate(bounds):
+            if not -math.inf < low <= high < math.inf:
+                raise ValueError(f"bounds of control {k}: {low:g} to {high:g}; expected finite numbers, low <= high")
         self.bounds = np.array(bounds)
         self.dimension = len(bounds)
         self._is_vector = isinstance(space, oc.RealVectorControlSpace)

@@ -91,9 +91,9 @@ class Workspace:
     obstacles: tuple[Obstacle, ...] = ()
 
     def __post_init__(self) -> None:
-        for low, high in self.bounds:
-            if not (math.isfinite(low) and math.isfinite(high) and low < high):
-                raise ValueError(f"workspace bounds must be finite with low < high, got {self.bounds}")
+        if len(self.bounds) != 2 or not all(-math.inf < low < high < math.inf for low, high in self.bounds):
+            expected = "((x_low, x_high), (y_low, y_high)), finite with low < high"
+            raise ValueError(f"workspace bounds: {self.bounds}; expected {expected}")
 
     def __eq__(self, other: object) -> bool:
         return self._content == other._content if isinstance(other, Workspace) else NotImplemented

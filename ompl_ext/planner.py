@@ -7,10 +7,13 @@ dominance-informed regions, IROS 2018; retainment, SAFETY and the best-heuristic
 from __future__ import annotations
 
 import math
+import threading
 import time
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -21,7 +24,7 @@ from ompl import util as ou
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.callback import CallbackSearch, CallbackSettings
 from ompl_ext.compiled_search import CompiledSearch
-from ompl_ext.configuration import Bounds, Configuration, ControlLayout, default_configuration
+from ompl_ext.configuration import Bounds, Configuration, ControlLayout, check_plane, default_configuration
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.parameters import DIRT_PARAMETERS, ParamSet, Value
 from ompl_ext.plan import Plan, TreeView
@@ -52,6 +55,10 @@ class DIRT(ob.Planner):
         configuration: map of a state to the plane of the regions (callbacks only; default by the kind of space).
         bounds: bounds of that plane, ((low, high), (low, high)).
         parameters: initial values, as by `params()[name] = value`.
+
+    Raises:
+        TypeError: `si` is not a space information of controls.
+        ValueError: the bounds are not finite with low < high, or a parameter is out of its bounds.
     """
 
     def __init__(
@@ -61,9 +68,13 @@ class DIRT(ob.Planner):
         bounds: Bounds | None = None,
         **parameters: Value,
     ) -> None:
+        if not isinstance(si, oc.SpaceInformation):
+            raise TypeError(f"si: expected an ompl.control.SpaceInformation, not {type(si).__name__}")
         super().__init__(si, "DIRT")
         if (configuration is None) != (bounds is None):
             raise ValueError("configuration and bounds: expected both or none")
+        if bounds is not None:
+            check_plane(bounds)
         self._params = ParamSet(DIRT_PARAMETERS)
         for name, value in parameters.items():
             self._params[name] = value
@@ -75,6 +86,7 @@ class DIRT(ob.Planner):
         self._added = math.inf  # cost of the best path to the goal that was added to the problem definition (s)
         self._retained: _Retained | None = None
         self._clears = 0
+        self._in_use = threading.Lock()  # held by a call that changes the search
         # OMPL's wrapper passes PlannerData by copy, which OMPL forbids: an override in the class would abort the
         # process.  One call of the base makes the wrapper cache "not overridden"; Python callers use the attribute.
         ob.Planner.getPlannerData(self, ob.PlannerData(si))
@@ -87,8 +99,11 @@ class DIRT(ob.Planner):
 
     def retain(self, path: oc.PathControl, elapsed: float = 0.0) -> None:
         """Begin the next query with the remainder of `path` after `elapsed` s, propagated from the new start."""
+        if not 0.0 <= elapsed < math.inf:
+            raise ValueError(f"elapsed is {elapsed}; expected the seconds since the start of the path, 0 or more")
         layout = ControlLayout(self.getSpaceInformation().getControlSpace())
-        controls = np.array([layout.read(path.getControl(k)) for k in range(path.getControlCount())])
+        rows = [layout.read(path.getControl(k)) for k in range(path.getControlCount())]
+        controls = np.array(rows).reshape(-1, layout.dimension)
         self._retained = _Retained(*remaining_edges(controls, np.array(path.getControlDurations()), elapsed))
 
     def retain_tree(self, tree: TreeView) -> None:
@@ -109,8 +124,19 @@ class DIRT(ob.Planner):
         A better path to the goal is added to the problem definition when it is found: conditions may look for it.  The
         arguments are those of OMPL's `solve`: seconds, a function with an optional interval, or a termination
         condition.
+
+        Raises:
+            TypeError: the condition is neither a number nor a function.
+            RuntimeError: there is no problem definition, or this planner is in use by another thread or a caller.
         """
         limit = next((each for each in (ptc, solveTime, terminationConditionFn) if each is not None), 1.0)
+        if not (isinstance(limit, Real) or callable(limit)):
+            expected = "expected seconds, a function or a termination condition"
+            raise TypeError(f"DIRT: solve() got a {type(limit).__name__}; {expected}")
+        with self._used_by("solve"):
+            return self._solve(limit, checkInterval)
+
+    def _solve(self, limit: Termination, interval: float) -> ob.PlannerStatus:
         status = ob.PlannerStatus
         definition = self.getProblemDefinition()
         if definition is None:
@@ -125,6 +151,8 @@ class DIRT(ob.Planner):
         self._prepare(definition)
         assert self._search is not None
         if not self._add_starts(self._search):
+            if isinstance(self._search, CallbackSearch):
+                self._search.warn_of_undefined_states()
             ou.OMPL_ERROR("DIRT: none of the start states is valid")
             return status(status.INVALID_START)
         if self._search.infeasible():
@@ -133,22 +161,26 @@ class DIRT(ob.Planner):
         if self._retained is not None:
             self._search.retain(self._retained.parents, self._retained.controls, self._retained.durations)
             self._retained = None
-        self._grow(self._search, definition, _condition(limit, checkInterval))  # made here: the maps are not the search
+        self._grow(self._search, definition, _condition(limit, interval))  # made here: the maps are not the search
+        if isinstance(self._search, CallbackSearch):
+            self._search.warn_of_undefined_states()
         return self._report(self._search, definition, goal)
 
     def clear(self) -> None:
         """Empty the tree; the next query uses the next seed."""
-        ob.Planner.clear(self)
-        if self._search is not None:
-            self._search.clear()
-            self._cleared = True
+        with self._used_by("clear"):
+            if self._search is not None:
+                self._search.clear()
+                self._cleared = True
+        ob.Planner.clear(self)  # a virtual function: OMPL calls this method once more
 
     def setup(self) -> None:
         """Read the space information's settings; with a goal, also compute the maps of the search."""
         ob.Planner.setup(self)
         definition = self.getProblemDefinition()
         if definition is not None and definition.getGoal() is not None:
-            self._prepare(definition)
+            with self._used_by("setup"):
+                self._prepare(definition)
 
     def tree(self) -> TreeView:
         """Copy of the tree with controls and durations, which OMPL's `PlannerData` cannot carry in Python."""
@@ -177,6 +209,19 @@ class DIRT(ob.Planner):
         """Visits since the last `clear`."""
         return self._search.count(at.ITERATIONS) if self._search is not None else 0
 
+    @contextmanager
+    def _used_by(self, call: str) -> Iterator[None]:
+        """Context in which no other call may change the search: it would change under a kernel that runs on it."""
+        if not self._in_use.acquire(blocking=False):
+            raise RuntimeError(
+                f"DIRT: {call}() was called while another call of this planner runs, by a callback or another thread; "
+                "expected one call at a time"
+            )
+        try:
+            yield
+        finally:
+            self._in_use.release()
+
     def _add_starts(self, search: Search) -> bool:
         inputs = self.getPlannerInputStates()
         while (state := inputs.nextStart()) is not None:
@@ -201,6 +246,8 @@ class DIRT(ob.Planner):
         if self._cleared:
             self._clears += 1
         self._cleared, self._query, self._added = False, query, math.inf
+        if definition.hasOptimizationObjective():
+            ou.OMPL_WARN("DIRT: it minimises the duration; the optimization objective of the problem is not used")
         if isinstance(self._search, CompiledSearch) and key == self._search_key:
             self._search.restart(int(self._params["seed"]) + self._clears)
         else:
@@ -216,15 +263,18 @@ class DIRT(ob.Planner):
             ou.OMPL_WARN(f"DIRT: the goal is a {type(goal).__name__}, not a PlanarGoal: running over callbacks")
         if self._configuration is None or self._bounds is None:
             configuration, bounds = default_configuration(si.getStateSpace())
+            check_plane(bounds)
         else:
             configuration, bounds = self._configuration, self._bounds
+        safety = getattr(checker, "safety", None)
+        _warn_of_settings_without_effect(self._params, safety is not None)
         return CallbackSearch(
             si,
             goal,
             configuration,
             bounds,
             _callback_settings(self._params),
-            getattr(checker, "safety", None),
+            safety,
             seed,
         )
 
@@ -275,9 +325,18 @@ def _callback_settings(params: ParamSet) -> CallbackSettings:
     )
 
 
+def _warn_of_settings_without_effect(params: ParamSet, has_safety: bool) -> None:
+    """Warn of parameters that are set and have no effect over callbacks."""
+    if params["cycle"] and not has_safety:
+        ou.OMPL_WARN("DIRT: the validity checker has no method safety(state): no edge is checked by SAFETY")
+    for name in ("polish", "threads"):
+        if params[name] != params.describe(name).default:
+            ou.OMPL_WARN(f"DIRT: {name} has no effect over callbacks")
+
+
 def _condition(limit: Termination, interval: float) -> Callable[[], bool]:
     """Function that returns whether to stop; it calls that of the user at most every `interval` s, in this thread."""
-    if isinstance(limit, int | float):
+    if isinstance(limit, Real):
         return ob.timedPlannerTerminationCondition(float(limit))
     return _at_intervals(limit, interval) if interval > 0 else limit
 

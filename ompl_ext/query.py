@@ -28,6 +28,19 @@ class Goal:
     tolerance: float = math.pi
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict, hash=False)
 
+    def __post_init__(self) -> None:
+        """Take any sequence of two numbers as the centre.
+
+        Raises:
+            ValueError: the centre is not two finite numbers, or the radius or the tolerance is negative.
+        """
+        center = tuple(map(float, self.center))
+        if len(center) != 2 or not all(map(math.isfinite, (*center, self.heading))):
+            raise ValueError(f"goal: center {self.center}, heading {self.heading}; expected (x, y) and rad, finite")
+        if not (self.radius >= 0.0 and self.tolerance >= 0.0):
+            raise ValueError(f"goal: radius {self.radius}, tolerance {self.tolerance}; expected 0 or more")
+        object.__setattr__(self, "center", center)
+
     @property
     def has_heading(self) -> bool:
         """Whether the goal bounds the heading."""

@@ -123,7 +123,11 @@ class QueryTree(EdgeChecker):
 
         Raises:
             MemoryError: if the tree is full and its memory cannot grow.
+            ValueError: the state has another number of components.
         """
+        names = self.vehicle.state
+        if np.shape(state) != (len(names),):
+            raise ValueError(f"the state has {np.size(state)} values; expected {len(names)}: {', '.join(names)}")
         state, still, work = np.asarray(state, dtype=float), np.zeros(len(self.vehicle.controls)), self.work
         slack = self._propagate(state, still, 0.0)
         if work.at_goal[0] == 1:

@@ -149,7 +149,14 @@ def space_information(
 
     `step` is the propagation step and `duration` the shortest and longest edge (s), multiples of the step.  The bounds
     are `sampling_range`; OMPL rejects a start outside them, and `SimpleSetup` widens them for its starts.
+
+    Raises:
+        ValueError: the step is not positive, or the durations are not one step or more with shortest <= longest.
     """
+    if not 0.0 < step < math.inf:
+        raise ValueError(f"step is {step}; expected a positive number of seconds")
+    if not 0.5 * step < duration[0] <= duration[1] < math.inf:
+        raise ValueError(f"duration is {duration}; expected (shortest, longest), multiples of the step of {step} s")
     space = ob.RealVectorStateSpace(len(vehicle.state))
     space.setBounds(_bounds(sampling_range(vehicle, workspace)))
     plane = [vehicle.index("x"), vehicle.index("y")]
@@ -177,7 +184,12 @@ def simple_setup(
     """`SimpleSetup` for a query: `setup.setPlanner(DIRT(setup.getSpaceInformation()))`, then `setup.solve(seconds)`.
 
     `start` (nx,) in the vehicle's components; the other arguments as in `space_information`.
+
+    Raises:
+        ValueError: the start has another number of components, or another argument is invalid.
     """
+    if len(start) != len(vehicle.state):
+        raise ValueError(f"start has {len(start)} values; expected {len(vehicle.state)}: {', '.join(vehicle.state)}")
     propagator = Propagator(vehicle)
     si = space_information(vehicle, workspace, safety, step, duration, propagator)
     setup = SimpleSetup(si, propagator)

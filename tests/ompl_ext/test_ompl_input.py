@@ -1,0 +1,243 @@
+"""What an OMPL program may pass wrongly, or as OMPL's planners never see it, over callbacks."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from ompl import base as ob
+from ompl import control as oc
+from ompl import util as ou
+from support.kernels import NO_SAFETY
+from support.ompl_setup import BOUNDS, START, arena, planned
+
+from kraft.vehicles.benchmark import BENCHMARK
+from ompl_ext import planner as module
+from ompl_ext.callback import CallbackSearch
+from ompl_ext.obstacles import Workspace
+from ompl_ext.planner import DIRT
+from ompl_ext.query import Goal
+from ompl_ext.solver import DirtSolver
+from ompl_ext.system import simple_setup
+
+ou.setLogLevel(ou.LOG_NONE)
+STATUS = ob.PlannerStatus
+Distance = Callable[[ob.State], float]
+
+
+class Region(ob.GoalRegion):
+    """Goal by a function of the distance."""
+
+    def __init__(self, si: oc.SpaceInformation, distance: Distance) -> None:
+        super().__init__(si)
+        self._distance = distance
+        self.setThreshold(0.2)
+
+    def distanceGoal(self, state: ob.State) -> float:  # noqa: N802
+        return self._distance(state)
+
+
+class UpperHalf(Region):
+    """Of a region the part with y above 2."""
+
+    def isSatisfied(self, state: ob.State) -> bool:  # noqa: N802
+        return bool(self._distance(state) < 0.2 and state[1] > 2.0)
+
+
+def to_the_right(state: ob.State) -> float:
+    return max(0.0, 3.5 - state[0])
+
+
+def pairs(*values: tuple[float, float]) -> ob.RealVectorBounds:
+    bounds = ob.RealVectorBounds(len(values))
+    for k, (low, high) in enumerate(values):
+        bounds.setLow(k, low)
+        bounds.setHigh(k, high)
+    return bounds
+
+
+def point(valid: Any = None, controls: tuple[float, float] = (-1.0, 1.0), broken: bool = False) -> oc.SpaceInformation:
+    """A point that moves in the square of 4 x 4 m with up to 1 m/s; a broken one has no x at high speeds."""
+    space = ob.RealVectorStateSpace(2)
+    space.setBounds(pairs((0.0, 4.0), (0.0, 4.0)))
+    velocity = oc.RealVectorControlSpace(space, 2)
+    velocity.setBounds(pairs(controls, (-1.0, 1.0)))
+    si = oc.SpaceInformation(space, velocity)
+    si.setPropagationStepSize(0.1)
+    si.setMinMaxControlDuration(1, 10)
+
+    def propagate(state: ob.State, control: oc.Control, duration: float, result: ob.State) -> None:
+        for k in range(2):
+            result[k] = state[k] + duration * control[k]
+        if broken and control[0] > 0.5:
+            result[0] = math.nan
+
+    si.setStatePropagator(propagate)
+    si.setStateValidityChecker(valid or space.satisfiesBounds)
+    return si
+
+
+def planner_for(si: oc.SpaceInformation, goal: ob.Goal, start: tuple[float, float] = (0.5, 0.5), **kw: Any) -> DIRT:
+    definition, state = ob.ProblemDefinition(si), si.allocState()
+    state[0], state[1] = start
+    definition.addStartState(state)
+    definition.setGoal(goal)
+    planner = DIRT(si, **kw)
+    planner.setProblemDefinition(definition)
+    return planner
+
+
+def after(planner: DIRT, iterations: int) -> ob.PlannerStatus:
+    return planner.solve(lambda: planner.iterations >= iterations)
+
+
+def test_a_goal_whose_class_says_what_satisfies_it_is_asked() -> None:
+    si = point()
+    planner = planner_for(si, UpperHalf(si, to_the_right))
+    assert after(planner, 500) == STATUS.EXACT_SOLUTION
+    definition = planner.getProblemDefinition()
+    path = definition.getSolutionPath()
+    assert definition.getGoal().isSatisfied(path.getState(path.getStateCount() - 1))
+
+
+def test_an_infinite_distance_says_nothing_and_hides_no_goal() -> None:
+    si = point()
+    planner = planner_for(si, Region(si, lambda state: math.inf if state[0] < 1.0 else to_the_right(state)))
+    assert after(planner, 500) == STATUS.EXACT_SOLUTION
+    search = planner._search
+    assert isinstance(search, CallbackSearch)
+    assert search._top_speed <= 1.02
+    assert np.isfinite(planner.tree().costs_to_go).all()
+
+
+def test_a_state_without_numbers_is_no_node_and_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("ompl_ext.callback.ou.OMPL_WARN", said.append)
+    si = point(valid=lambda state: True, broken=True)
+    planner = planner_for(si, Region(si, to_the_right))
+    after(planner, 200)
+    assert np.isfinite(planner.tree().states).all()
+    assert len(planner.tree().parents) > 100
+    assert len(said) == 1
+    assert "is not a number" in said[0]
+
+
+@pytest.mark.parametrize("where", ["start", "distance", "configuration"])
+def test_a_start_without_numbers_is_an_invalid_start(where: str) -> None:
+    si = point(valid=lambda state: True)
+    goal = Region(si, (lambda state: math.nan) if where == "distance" else to_the_right)
+    plane: dict[str, Any] = {"configuration": lambda state: (math.nan, 0.0), "bounds": BOUNDS}
+    start = (math.nan if where == "start" else 0.5, 0.5)
+    planner = planner_for(si, goal, start, **(plane if where == "configuration" else {}))
+    assert after(planner, 10) == STATUS.INVALID_START
+
+
+@pytest.mark.parametrize("call", ["clear", "solve", "setup"])
+@pytest.mark.parametrize("callbacks", [False, True])
+def test_a_call_from_a_callback_of_solve_is_refused(call: str, callbacks: bool) -> None:
+    planner = planned(arena(), 50, use_callbacks=callbacks)
+    asked: list[int] = []
+
+    def condition() -> bool:
+        asked.append(1)
+        if len(asked) == 2:
+            getattr(planner, call)()
+        return len(asked) > 100
+
+    with pytest.raises(RuntimeError, match=rf"{call}\(\) was called while another call"):
+        planner.solve(condition)
+    planner.clear()  # and the planner is free again
+    assert planner.edges == 0
+
+
+def test_a_call_from_another_thread_is_refused_while_solve_runs() -> None:
+    planner = planned(arena(), 50, use_callbacks=True)
+    errors: list[BaseException] = []
+
+    def clears() -> None:
+        try:
+            planner.clear()
+        except RuntimeError as error:
+            errors.append(error)
+
+    def condition() -> bool:
+        other = threading.Thread(target=clears)
+        other.start()
+        other.join()
+        return True
+
+    planner.solve(condition)
+    assert len(errors) == 1
+    assert planner.edges > 0
+
+
+def test_bounds_without_a_range_are_refused() -> None:
+    for low, high in ((-1.0, math.inf), (math.nan, 1.0)):
+        si = point(controls=(low, high))
+        with pytest.raises(ValueError, match="bounds of control 0"):
+            after(planner_for(si, Region(si, to_the_right)), 1)
+    for bounds in (((4, 0), (0, 4)), ((0, math.nan), (0, 4)), ((0, 4),)):
+        with pytest.raises(ValueError, match="finite with low < high"):
+            DIRT(point(), configuration=lambda state: (state[0], state[1]), bounds=bounds)  # type: ignore[arg-type]
+
+
+def test_an_information_without_controls_and_a_condition_that_is_none_are_refused() -> None:
+    with pytest.raises(TypeError, match=r"ompl\.control\.SpaceInformation"):
+        DIRT(ob.SpaceInformation(point().getStateSpace()))
+    planner = planned(arena(), 1)
+    with pytest.raises(TypeError, match="seconds, a function or a termination condition"):
+        planner.solve("1")
+    assert planner.solve(np.float32(0.001)) != STATUS.INVALID_START
+    assert planner.solve(np.int64(0)) != STATUS.INVALID_START
+
+
+def test_settings_and_objectives_without_effect_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(module.ou, "OMPL_WARN", said.append)
+    si = point()
+    planner = planner_for(si, Region(si, to_the_right), cycle=1.0, threads=2)
+    planner.getProblemDefinition().setOptimizationObjective(ob.PathLengthOptimizationObjective(si))
+    after(planner, 10)
+    assert len(said) == 3
+    assert [any(word in each for each in said) for word in ("safety(state)", "threads", "objective")] == 3 * [True]
+    after(planner, 20)
+    assert len(said) == 3
+
+
+def test_an_empty_path_retains_nothing_and_a_time_before_it_is_refused() -> None:
+    si = point()
+    planner = planner_for(si, Region(si, to_the_right))
+    planner.retain(oc.PathControl(si))
+    assert planner.solve(lambda: True) == STATUS.TIMEOUT
+    for elapsed in (-1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match="elapsed"):
+            planner.retain(oc.PathControl(si), elapsed)
+
+
+def test_a_setup_checks_what_it_is_given() -> None:
+    workspace, goal = Workspace(BOUNDS), Goal((3.5, 3.5), 0.25)
+    for count in (3, 5):  # one value too few would be what the memory held, one too many would overwrite it
+        with pytest.raises(ValueError, match=f"start has {count} values; expected 4: x, y, theta, v"):
+            simple_setup(BENCHMARK, workspace, np.zeros(count), goal)
+        with pytest.raises(ValueError, match=f"state has {count} values"):
+            DirtSolver(BENCHMARK, workspace, goal, NO_SAFETY).start(np.zeros(count))
+    for step in (0.0, -0.1, math.nan):
+        with pytest.raises(ValueError, match="step is"):
+            simple_setup(BENCHMARK, workspace, START, goal, step=step)
+    for duration in ((1.0, 0.5), (0.0, 0.0), (0.5, math.inf)):
+        with pytest.raises(ValueError, match="duration is"):
+            simple_setup(BENCHMARK, workspace, START, goal, duration=duration)
+
+
+def test_a_goal_has_a_place_and_a_size_and_takes_any_sequence() -> None:
+    for wrong in ({"radius": -1.0}, {"radius": math.nan}, {"tolerance": -0.1}, {"heading": math.nan}):
+        with pytest.raises(ValueError, match="goal"):
+            Goal((1.0, 1.0), **{"radius": 0.2, **wrong})
+    for center in ((math.nan, 1.0), (1.0,), (1.0, 2.0, 3.0)):
+        with pytest.raises(ValueError, match="goal"):
+            Goal(center, 0.2)  # type: ignore[arg-type]
+    assert Goal(np.array([1.0, 2.0]), 0.2) == Goal([1.0, 2.0], 0.2) == Goal((1.0, 2.0), 0.2)  # type: ignore[arg-type]
