@@ -84,6 +84,14 @@ class Decisions:
         self.last = cycle.time
 
 
+@dataclass
+class Known:
+    """What is known of a drive while it is driven: its check list and its decisions so far."""
+
+    checked: Checked = field(default_factory=lambda: Checked((), None))
+    decisions: Decisions = field(default_factory=Decisions)
+
+
 @dataclass(frozen=True)
 class DriveResult:
     """Result of a drive; `ended` is None if the drive did not begin."""
@@ -143,11 +151,12 @@ def drive(
     on_status: Callable[[Status], None],
     on_sense: Callable[[Sense], None],
     keep_trees: bool = False,
+    on_abandon: Callable[[DriveResult], None] | None = None,
 ) -> DriveResult:
     """Check, and drive until the goal, the time limit, a fault or an interrupt.
 
     The first SIGINT, SIGTERM or SIGHUP stops the vehicle and ends the drive with its result, the second ends planner
-    and controller.
+    and controller.  Nothing is returned then: `on_abandon` is called before.
 
     Args:
         spec: the drive; its method fulfils `check_method`.
@@ -156,6 +165,7 @@ def drive(
         on_status: called with the state every second, and with every event.
         on_sense: called with what the controller sensed and sent.
         keep_trees: keep a copy of the planner's tree in each cycle, for `on_cycle`.
+        on_abandon: called with what is known at the second signal, in a thread, before this process ends.
 
     Raises:
         InputError: if the transport cannot be opened.
@@ -164,10 +174,15 @@ def drive(
     check_transport(spec.robot)
     warm_up(spec)  # for all processes, where they are forks
     with short_collections():  # which would also copy memory that they share
-        return _drive_in_processes(spec, (on_check, on_cycle, on_status, on_sense), keep_trees)
+        return _drive_in_processes(spec, (on_check, on_cycle, on_status, on_sense), keep_trees, on_abandon)
 
 
-def _drive_in_processes(spec: DriveSpec, report: tuple[Any, Any, Any, Any], keep_trees: bool) -> DriveResult:
+def _drive_in_processes(
+    spec: DriveSpec,
+    report: tuple[Any, Any, Any, Any],
+    keep_trees: bool,
+    on_abandon: Callable[[DriveResult], None] | None,
+) -> DriveResult:
     """Start controller, brake guard and the process that receives maps, and plan for them."""
     context, has_maps = process_context(), spec.robot.map is not None
     (here, there), (to_guard, to_control) = context.Pipe(), context.Pipe()
@@ -196,9 +211,18 @@ def _drive_in_processes(spec: DriveSpec, report: tuple[Any, Any, Any, Any], keep
         with lock, contextlib.suppress(OSError):  # a controller that has ended is noticed by `_messages`
             here.send(message)
 
+    known = Known()
+
+    def abandon(number: int) -> None:
+        process.kill()
+        if on_abandon is not None:
+            reason = "a second signal ended planner and controller, and the brake guard stops the vehicle"
+            ended = Ended("interrupted", reason, known.decisions.last)
+            on_abandon(DriveResult(known.checked, ended, known.decisions, signal=number))
+
     try:
-        with preferred_planner(), _interrupts(lambda: send(StopOrder("by a signal")), process) as received:
-            result = _drive(spec, here, process, send, report, keep_trees)
+        with preferred_planner(), _interrupts(lambda: send(StopOrder("by a signal")), abandon) as received:
+            result = _drive(spec, here, process, send, report, keep_trees, known)
             return replace(result, signal=received[0] if received else 0)
     finally:
         here.close()
@@ -210,11 +234,11 @@ def _drive_in_processes(spec: DriveSpec, report: tuple[Any, Any, Any, Any], keep
 
 def _drive(
     spec: DriveSpec, here: Connection, process: Any, send: Callable[[Any], None], report: tuple[Any, Any, Any, Any],
-    keep_trees: bool,
+    keep_trees: bool, known: Known,
 ) -> DriveResult:  # fmt: skip
     on_check, on_cycle, on_status, on_sense = report
     planner = Planner(spec, keep_trees)
-    checked, decisions = Checked((), None), Decisions()
+    checked, decisions = known.checked, known.decisions
     cycles = CycleFile(spec.folder)
     for message in _messages(here, process):
         if isinstance(message, KraftError):
@@ -222,7 +246,7 @@ def _drive(
         if isinstance(message, Check):
             on_check(Checked((message,), None))
         elif isinstance(message, Checked):
-            checked = message
+            checked = known.checked = message
             on_check(checked)
             if not checked.passed or checked.pose is None:
                 send(StopOrder("the check list failed"))
@@ -396,8 +420,10 @@ def changed(task: Task, goal: tuple[float, float] | None, grid: OccupancyMap | N
 
 
 @contextlib.contextmanager
-def _interrupts(stop: Callable[[], None], process: Any) -> Iterator[list[int]]:
-    """Stop the vehicle at the first signal of STOPPING, also while a kernel computes; end everything at the second.
+def _interrupts(stop: Callable[[], None], abandon: Callable[[int], None]) -> Iterator[list[int]]:
+    """Stop the vehicle at the first signal of STOPPING, also while a kernel computes; at the second end this process.
+
+    `abandon` is called with the number of the second one before, in a thread.
 
     The list gets their numbers.  A signal that is ignored already, as SIGHUP with nohup, stays so.
 
@@ -418,8 +444,10 @@ def _interrupts(stop: Callable[[], None], process: Any) -> Iterator[list[int]]:
             if byte[0] in heeded:
                 received.append(byte[0])
                 if len(received) > 1:
-                    process.kill()
-                    os._exit(128 + byte[0])
+                    try:
+                        abandon(byte[0])
+                    finally:
+                        os._exit(128 + byte[0])
                 stop()
 
     watcher = threading.Thread(target=watch, name="interrupts", daemon=True)

@@ -119,18 +119,26 @@ def drive_robot(
                 report(cycle_line(cycle) + "".join(map(_status, newest)) + _learned(cycle, spec))
                 display.show(cycle)
 
-            result = drive(spec, on_check, on_cycle, on_status, display.sensed, keep_trees=display.draws_trees)
+            result = drive(
+                spec, on_check, on_cycle, on_status, display.sensed, keep_trees=display.draws_trees,
+                on_abandon=lambda known: _write_result(Driven(request, spec, known)),
+            )  # fmt: skip
     except (InputError, MissingError):
         if out is not None:
             _remove_undriven(out)
         raise
     unwritten = [*result.unwritten, *((display.problem,) if display.problem else ())]
-    driven = Driven(request, spec, result, tuple(unwritten))
-    if out is not None:
-        try:
-            write_json(out / "result.json", {"schema": DRIVE_SCHEMA, **drive_json(driven)})
-        except InputError as error:  # the result is printed
-            driven = replace(driven, unwritten=(*unwritten, str(error)))
+    return _write_result(Driven(request, spec, result, tuple(unwritten)))
+
+
+def _write_result(driven: Driven) -> Driven:
+    """Write `result.json` if the drive is written; the result also says if that was not possible."""
+    if driven.request.out is None:
+        return driven
+    try:
+        write_json(driven.request.out / "result.json", {"schema": DRIVE_SCHEMA, **drive_json(driven)})
+    except InputError as error:  # the result is printed
+        return replace(driven, unwritten=(*driven.unwritten, str(error)))
     return driven
 
 

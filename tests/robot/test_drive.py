@@ -87,7 +87,7 @@ def test_the_first_signal_to_all_processes_stops_the_car_and_writes_the_result(
         assert make_reader(file).get_summary() is not None, "the bag is complete"
 
 
-def test_the_second_interrupt_ends_at_once(tmp_path: Path) -> None:
+def test_the_second_interrupt_ends_at_once_and_writes_what_is_known(tmp_path: Path) -> None:
     with Rig(tmp_path) as rig:
         rig.drive_until(1.5)
         for _ in range(2):
@@ -96,6 +96,10 @@ def test_the_second_interrupt_ends_at_once(tmp_path: Path) -> None:
         assert rig.until(lambda: rig.process.poll() is not None, 5.0)
         assert rig.process.returncode == 130
         assert rig.stands(6.0)
+        result = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+        assert (result["outcome"], result["reason"][:15]) == ("interrupted", "a second signal")
+        assert result["cycles"] >= 1
+        assert {check["state"] for check in result["checks"]} <= {"ok", "warning"}
 
 
 def test_an_interrupt_of_the_check_list_ends_it_at_once(tmp_path: Path) -> None:
