@@ -1,14 +1,17 @@
-"""Provenance of a result: versions of the software, and hashes of its inputs."""
+"""Provenance of a result: versions of the software and where it came from, and hashes of its inputs."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import platform
+import shlex
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
-from importlib.metadata import version
+from importlib.metadata import distribution, version
 from typing import Any, Final
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 import numpy as np
 from pydantic import BaseModel
@@ -25,6 +28,22 @@ def versions(distributions: Iterable[str]) -> dict[str, str]:
     """Versions of kraft, of the named distributions and of Python."""
     python = ".".join(platform.python_version_tuple()[:2])
     return {**{name: version(name) for name in ("kraft", *distributions)}, "python": python}
+
+
+def install_command(extra: str) -> str:
+    """Command that installs an extra from where this kraft was installed: a clone, an archive or an index.
+
+    The name alone would make pip look in an index, which need not have this kraft.
+    """
+    origin: dict[str, Any] = json.loads(distribution("kraft").read_text("direct_url.json") or "{}")
+    wanted, url = f"kraft[{extra}]", origin.get("url", "")
+    if "dir_info" in origin and urlsplit(url).scheme == "file":
+        folder = url2pathname(urlsplit(url).path)
+        option = "-e " if origin["dir_info"].get("editable") else ""
+        return f"pip install {option}{shlex.quote(f'{folder}[{extra}]')}"
+    if "vcs_info" in origin:
+        url = f"{origin['vcs_info']['vcs']}+{url}@{origin['vcs_info']['commit_id']}"
+    return f"pip install {shlex.quote(f'{wanted} @ {url}' if url else wanted)}"
 
 
 def plain(value: Any) -> Any:

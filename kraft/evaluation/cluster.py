@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from kraft.errors import Code, InputError, MissingDependency
 from kraft.evaluation.job import POLL, Job, Log, StopRequested, failed_row, perform
 from kraft.evaluation.journal import TrialRow
-from kraft.provenance import SIMULATION, versions
+from kraft.provenance import SIMULATION, install_command, versions
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -35,7 +35,7 @@ class Cluster:
         try:
             import distributed  # noqa: F401
         except ImportError as error:
-            problem = "a Dask cluster needs the package distributed: pip install 'kraft[cluster]'"
+            problem = f"a Dask cluster needs the package distributed: {install_command('cluster')}"
             raise MissingDependency(problem) from error
         self.address = address
         try:

@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any, Final
 
 from kraft.errors import Code, InputError, MissingDependency
+from kraft.provenance import install_command
 from kraft.robot.messages import from_cdr, to_cdr, types
 from kraft.robot.robot_file import Ros2
 from kraft.robot.transport import Peers, Receive, Receiver, Refused
@@ -31,7 +32,7 @@ try:
     from cyclonedds.topic import Topic
     from cyclonedds.util import duration
 except ImportError as error:
-    raise MissingDependency("transport: ros2 needs cyclonedds: pip install 'kraft[ros2]'") from error
+    raise MissingDependency(f"transport: ros2 needs cyclonedds: {install_command('ros2')}") from error
 
 WAIT: Final = 0.1
 """Longest time between two looks at whether the transport is closed, s."""

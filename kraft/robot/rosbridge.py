@@ -14,6 +14,7 @@ from typing import Any, Final
 from urllib.parse import urlparse
 
 from kraft.errors import Code, InputError, MissingDependency
+from kraft.provenance import install_command
 from kraft.robot.messages import from_json, is_known, to_json
 from kraft.robot.robot_file import Rosbridge
 from kraft.robot.transport import SEND_BUFFER, Answers, Outbox, Peers, Receive, Receiver, Refused
@@ -44,7 +45,8 @@ def _websockets() -> Any:
         import websockets.sync.client
         import websockets.sync.server
     except ImportError as error:
-        raise MissingDependency("transport: rosbridge needs websockets: pip install 'kraft[rosbridge]'") from error
+        problem = f"transport: rosbridge needs websockets: {install_command('rosbridge')}"
+        raise MissingDependency(problem) from error
     return websockets
 
 

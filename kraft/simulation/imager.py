@@ -18,6 +18,7 @@ import numpy as np
 
 from kraft.errors import MissingDependency
 from kraft.gl import offscreen_context
+from kraft.provenance import install_command
 from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.simulation.camera import HALF_MARKER
 from kraft.simulation.car import MUSHR
@@ -397,7 +398,7 @@ def opencv() -> Any:
         cv2.aruco.ArucoDetector  # noqa: B018 - builds of OpenCV may lack it
     except (ImportError, OSError, AttributeError) as error:
         problem = f"{PURPOSE} needs OpenCV with its detector of ArUco tags ({error})"
-        raise MissingDependency(f"{problem}; pip install 'kraft[vision]'") from None
+        raise MissingDependency(f"{problem}; {install_command('vision')}") from None
     return cv2
 
 

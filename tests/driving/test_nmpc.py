@@ -110,7 +110,7 @@ def test_without_casadi_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
         return imported(name, *arguments, **named)
 
     monkeypatch.setattr(builtins, "__import__", refused)
-    with pytest.raises(MissingDependency, match=r"kraft\[mpc\]"):
+    with pytest.raises(MissingDependency, match=r"pip install .*\[mpc\]"):
         nmpc(Nmpc(kind="nmpc"))
 
 

@@ -31,6 +31,7 @@ from kraft.driving.geodesic import interpolated
 from kraft.driving.messages import Controller, Estimate, Reference, ReferenceKind
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError, MissingDependency
+from kraft.provenance import install_command
 from kraft.vehicles.load import problem_of
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels import kernel_types as at
@@ -398,7 +399,7 @@ def casadi_of() -> Any:
     try:
         import casadi
     except ImportError as error:
-        raise MissingDependency("controller: nmpc needs casadi: pip install 'kraft[mpc]'") from error
+        raise MissingDependency(f"controller: nmpc needs casadi: {install_command('mpc')}") from error
     if not casadi.has_conic("piqp"):
         raise MissingDependency("controller: nmpc needs casadi with PIQP: pip install 'casadi>=3.8'")
     return casadi
