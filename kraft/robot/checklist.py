@@ -85,7 +85,7 @@ class Checklist:
         checks += [self._check_dead_man(), self._check_commands(peers), *self._check_map()]
         grid = None if self._tasks is None else self._tasks.take_map()
         checks += [*_check_place(_mean_pose(poses), with_map(spec.task, grid), spec.vehicle)]
-        checks += [_check_model(spec.vehicle), _check_priority()]
+        checks += [_check_model(spec.vehicle, is_simulated=self._robot.simulated), _check_priority()]
         if not peers.publishers:
             self._transport.advertise(topic, kind)
             self._wait_for_subscriber(is_cancelled)
@@ -185,6 +185,8 @@ class Checklist:
 
     def _check_dead_man(self) -> Check:
         switch = self._robot.dead_man
+        if switch is None and self._robot.simulated:
+            return Check("dead man", "ok", "none: the robot is simulated")
         if switch is None:
             return Check("dead man", "warning", "the robot file names no switch that a person holds")
         trouble = self._inputs.trouble
@@ -213,7 +215,9 @@ def _check_place(pose: Pose | None, task: Task, vehicle: Vehicle) -> list[Check]
     return [Check("place", "warning", f"where it stands, the vehicle {hit}")] if hit else []
 
 
-def _check_model(vehicle: Vehicle) -> Check:
+def _check_model(vehicle: Vehicle, *, is_simulated: bool) -> Check:
+    if is_simulated:
+        return Check("model", "ok", f"{vehicle.name}, for a simulated robot")
     identified = bool(vehicle.file) and load_vehicle_config(Path(vehicle.file)).identification is not None
     if identified:
         return Check("model", "ok", f"{vehicle.name} is identified")

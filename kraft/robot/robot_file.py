@@ -244,6 +244,8 @@ class Robot(StrictModel):
     """{topic} of an OccupancyGrid, which is added to the scenario's obstacles"""
     clock: TopicInput | None = None
     """{topic} of the time of a simulation (rosgraph_msgs/Clock), as `use_sim_time` of ROS; the machine's if left out"""
+    simulated: bool = False
+    """whether it is a robot of kraft world: no person holds a switch, and its model needs no identification"""
     display: Annotated[str, StringConstraints(pattern=r"^((/[A-Za-z_][A-Za-z0-9_]*)+)?$")] = "/kraft"
     """topic under which plan, contingency, footprint and markers are sent; empty for none"""
     limits: Limits = Limits()

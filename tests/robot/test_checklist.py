@@ -15,13 +15,13 @@ import pytest
 
 from kraft.driving.method import load_method
 from kraft.robot import checklist
-from kraft.robot.checklist import Checklist
+from kraft.robot.checklist import Checklist, _check_model
 from kraft.robot.inputs import Inputs
 from kraft.robot.loopback import LoopbackBus, LoopbackNode
 from kraft.robot.maps import receive_maps
 from kraft.robot.messages import ACKERMANN, BOOL, GRID, JOY, POSE, header, make, pose_fields
 from kraft.robot.protocol import Check, Checked, DriveSpec, Mailbox
-from kraft.robot.robot_file import Robot
+from kraft.robot.robot_file import Robot, load_robot
 from kraft.robot.task_inputs import TaskInputs
 from kraft.scenario import load_scenario
 from kraft.vehicles.load import load_vehicle
@@ -156,6 +156,14 @@ def test_slow_poses_and_a_missing_dead_man_are_warnings() -> None:
     found = checked(poses(), robot(pose={**POSE_INPUT, "rate_hz": 100.0}))
     assert found.passed
     assert states(found)["poses"] == states(found)["dead man"] == "warning"
+
+
+def test_of_a_simulated_robot_neither_a_dead_man_nor_an_identified_model_is_expected() -> None:
+    found = checked(poses(), robot(simulated=True))
+    assert states(found)["dead man"] == "ok"
+    assert [_check_model(load_vehicle("benchmark"), is_simulated=known).state for known in (True, False)] == ["ok", "warning"]
+    assert load_robot("sim").simulated
+    assert not load_robot("f1tenth").simulated
 
 
 def test_somebody_else_who_publishes_commands_is_found() -> None:
