@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from numbers import Integral
 from typing import TypeVar
 
 Result = TypeVar("Result")
@@ -141,12 +142,16 @@ class Problems:
             raise InputError(self.found)
 
 
-def out_of_range(name: str, value: float, least: int, most: int | None = None) -> list[Diagnostic]:
-    """Problem of the argument ``name`` if its value is not from ``least`` to ``most``; at most one."""
-    if value >= least and (most is None or value <= most):
-        return []
+def out_of_range(name: str, value: object, least: int, most: int | None = None) -> list[Diagnostic]:
+    """Problem of the argument ``name`` if its value is no whole number from ``least`` to ``most``; at most one."""
     expected = f"of at least {least}" if most is None else f"from {least} to {most:,}"
-    return [Diagnostic(name, f"is {value:.12g}", f"expected a number {expected}", argument=True)]
+    if not isinstance(value, Integral):
+        problem, kind = f"is {value!r}", f"expected a whole number {expected}"
+        return [Diagnostic(name, problem, kind, code=Code.TYPE, argument=True)]
+    number = int(value)
+    if number >= least and (most is None or number <= most):
+        return []
+    return [Diagnostic(name, f"is {number:.12g}", f"expected a number {expected}", argument=True)]
 
 
 class MissingError(KraftError):

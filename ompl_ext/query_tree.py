@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import index
 
 import numpy as np
 
@@ -112,6 +113,7 @@ class QueryTree(EdgeChecker):
 
     def clear(self, seed: int = 0) -> None:
         """Empty the tree; memory allocated since is kept for later queries."""
+        seed = index(seed)  # a number of numpy would overflow
         for number, each in enumerate(self._trees):
             each.clear(generator(seed + number * THREAD_SEEDS))
         self._progress = Progress()

@@ -66,7 +66,7 @@ def evaluate(
     suite: str | Path | None = None,
     settings: Settings = (),
     vary: Sweeps = (),
-    vehicle: str | None = None,
+    vehicle: str | Path | None = None,
     resume: bool = False,
     realtime: bool = False,
     cluster: str | None = None,
@@ -133,7 +133,7 @@ def check_arguments(
     suite: str | Path | None = None,
     settings: Settings = (),
     vary: Sweeps = (),
-    vehicle: str | None = None,
+    vehicle: str | Path | None = None,
     resume: bool = False,
     realtime: bool = False,
 ) -> Experiment:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from os import fspath
 from pathlib import Path
 from typing import Final, TypeAlias
 
@@ -106,7 +107,7 @@ def experiment_of(
     suite: str | Path | None = None,
     settings: Settings = (),
     vary: Sweeps = (),
-    vehicle: str | None = None,
+    vehicle: str | Path | None = None,
     trials: int = TRIALS,
     seed: int = 0,
     realtime: bool = False,
@@ -123,13 +124,13 @@ def experiment_of(
     problems.found += [*out_of_range("trials", trials, 1, TRIALS_MAX), *out_of_range("seed", seed, 0)]
     entries = problems.of(lambda: entries_of(scenarios, suite=suite, settings=settings, vary=vary)) or []
     loaded = _methods(methods, problems)
-    reference = None if vehicle is None else problems.of(lambda: _reference(vehicle))
+    reference = None if vehicle is None else problems.of(lambda: _reference(fspath(vehicle)))
     problems.check()
     if realtime:
         problems.found += [diagnostic for method in loaded for diagnostic in _too_little_time(method)]
     cells = tuple(_cells(entries, loaded, reference, problems.found))
     problems.check()
-    return Experiment(cells, trials, seed, realtime)
+    return Experiment(cells, int(trials), int(seed), realtime)
 
 
 def _reference(vehicle: str) -> str:
@@ -157,7 +158,7 @@ def _too_little_time(method: Method) -> Iterator[Diagnostic]:
 def _methods(given: Sequence[MethodLike], problems: Problems) -> list[Method]:
     """Load those that can be loaded; the problems of the others and of the list are added to `problems`."""
     problems.found += list_problems("method", given)
-    named = [each for each in given if each != ""]
+    named = [each for each in given if each != ""] if not isinstance(given, str | Path) else []
     loaded = [each if isinstance(each, Method) else problems.of(partial(load_method, each)) for each in named]
     found = [method for method in loaded if method is not None]
     problems.found += repeated_names("method", (method.name for method in found))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -174,11 +174,17 @@ def _sweep_problems(draft: _Draft, sweeps: tuple[tuple[Override, ...], ...]) -> 
 def _drafts(scenarios: Sequence[ScenarioLike], problems: list[Diagnostic]) -> list[_Draft]:
     """Entries of scenarios, not loaded; problems of the list are added to `problems`."""
     problems += list_problems("scenario", scenarios)
+    if isinstance(scenarios, str | Path):
+        return []
     return [_Draft("", "", scenario) for scenario in scenarios if scenario != ""]
 
 
 def list_problems(noun: str, given: Sequence[object]) -> Iterator[Diagnostic]:
-    """Problems of the argument that lists names, paths or objects: it is empty, or has an empty name."""
+    """Problems of the argument that lists names, paths or objects: it is one name, is empty, or has an empty name."""
+    if isinstance(given, str | Path):
+        expected = f"expected a list of {noun}s, as in [{str(given)!r}]"
+        yield Diagnostic(f"{noun}s", f"is the text {str(given)!r}", expected, code=Code.TYPE, argument=True)
+        return
     if not given:
         expected = f"expected at least one {noun}"
         yield Diagnostic(f"{noun}s", "none are given", expected, code=Code.MISSING, argument=True)
@@ -268,9 +274,14 @@ def _check_apart(draft: _Draft, common: Sequence[Override], sweeps: Sequence[tup
         )
 
 
+def _has_values(values: object) -> bool:
+    """Whether the values of a varied key are a list, of Python or numpy, that is not empty."""
+    return isinstance(values, Sized) and not isinstance(values, str) and len(values) > 0
+
+
 def _sweeps(vary: Mapping[str, Sequence[Any]]) -> tuple[tuple[Override, ...], ...]:
     """Overrides for each value of each key."""
-    empty = [key for key, values in vary.items() if isinstance(values, str) or not values]
+    empty = [key for key, values in vary.items() if not _has_values(values)]
     if empty:
         place = Place("vary", argument=True)
         raise InputError(

@@ -6,7 +6,7 @@ import math
 import time as clock
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -112,6 +112,7 @@ def plan_task(
     search = search_named(task.planning.planner)
     check_threads(task.planning.planner, threads)
     check_seed(seed)
+    seed, threads = int(seed), int(threads)
     if previous is not None:
         previous.check(vehicle)
     state = start_state(task, vehicle) if previous is None else previous.state
@@ -173,7 +174,7 @@ def finds_plan(task: Task, vehicle: Vehicle, iterations: int, seed: int = 0) -> 
 
 def plan(
     scenario: Task | str | Path,
-    vehicle: Vehicle | str | None = None,
+    vehicle: Vehicle | str | Path | None = None,
     *,
     iterations: int | None = None,
     time: float | None = None,
@@ -194,15 +195,24 @@ def plan(
 
     Raises:
         InputError: with what is wrong with scenario, vehicle or budget, or as `plan_task`.
+        TypeError: if the scenario is none of these.
         Defect: if the plan found does not pass exact verification.
     """
     loaded = load_scenario(scenario) if isinstance(scenario, str | Path) else scenario
     task = loaded.task() if isinstance(loaded, Scenario) else loaded
+    if not isinstance(task, Task):
+        raise TypeError(f"scenario: expected a name, a path, a Scenario or a Task, not {type(scenario).__name__}")
     model = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle) if vehicle else vehicle_of_task(task)
     budget = None
     if iterations is not None or time is not None:
-        budget = budget_of(replace(task, planning=task.planning.with_budget(iterations=iterations, time=time)))
+        limits = {"iterations": _number(iterations), "time": _number(time)}
+        budget = budget_of(replace(task, planning=task.planning.with_budget(**limits)))
     return plan_task(task, model, budget, seed, previous, threads)
+
+
+def _number(value: Any) -> Any:
+    """Python's number of one of numpy; other values as they are."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _accepted(found: SearchResult, verification: Verification | None, seed: int) -> tuple[Plan | None, str]:

@@ -110,7 +110,7 @@ def check_seed(seed: int) -> None:
     """Check that a number is a seed.
 
     Raises:
-        InputError: if it is negative.
+        InputError: if it is negative or no whole number.
     """
     if problems := out_of_range("seed", seed, 0):
         raise InputError(problems)

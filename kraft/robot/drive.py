@@ -151,7 +151,7 @@ def drive(
     on_status: Callable[[Status], None],
     on_sense: Callable[[Sense], None],
     keep_trees: bool = False,
-    on_abandon: Callable[[DriveResult], None] | None = None,
+    on_abandon: Callable[[DriveResult], object] | None = None,
 ) -> DriveResult:
     """Check, and drive until the goal, the time limit, a fault or an interrupt.
 
@@ -181,7 +181,7 @@ def _drive_in_processes(
     spec: DriveSpec,
     report: tuple[Any, Any, Any, Any],
     keep_trees: bool,
-    on_abandon: Callable[[DriveResult], None] | None,
+    on_abandon: Callable[[DriveResult], object] | None,
 ) -> DriveResult:
     """Start controller, brake guard and the process that receives maps, and plan for them."""
     context, has_maps = process_context(), spec.robot.map is not None

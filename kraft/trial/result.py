@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from os import fspath
 from pathlib import Path
 from typing import Any
 
@@ -51,19 +52,20 @@ class TrialSpec:
     realtime: bool = False
 
     def __post_init__(self) -> None:
-        """Check the seed.
+        """Check the seed, which may be a whole number of numpy.
 
         Raises:
-            InputError: if it is negative.
+            InputError: if it is negative or no whole number.
         """
         check_seed(self.seed)
+        object.__setattr__(self, "seed", int(self.seed))
 
     @classmethod
     def load(
         cls,
         scenario: str | Path,
         method: str | Path = "kraft",
-        vehicle: str | None = None,
+        vehicle: str | Path | None = None,
         seed: int = 0,
         settings: Mapping[str, Any] | None = None,
     ) -> TrialSpec:
@@ -75,7 +77,7 @@ class TrialSpec:
             InputError: with what is wrong with scenario, settings, method, vehicle or seed, or with where the start is.
         """
         loaded, loaded_method = load_scenario(scenario, settings), load_method(method)
-        model = planning_vehicle(loaded, loaded_method, vehicle)
+        model = planning_vehicle(loaded, loaded_method, None if vehicle is None else fspath(vehicle))
         check_robot(loaded, model)
         check_placement(loaded, model, start_state(loaded, model))
         return cls(loaded, loaded_method, model, seed)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache, lru_cache
+from os import fspath
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,7 +28,9 @@ from kraft.vehicles.true_robot import CarDimensions, Robot, with_files
 from ompl_ext.vehicle import Footprint, OpenLoopErrors, Vehicle
 
 
-def load_vehicle(reference: str, folder: Path | None = None, parameters: Mapping[str, float] | None = None) -> Vehicle:
+def load_vehicle(
+    reference: str | Path, folder: Path | None = None, parameters: Mapping[str, float] | None = None
+) -> Vehicle:
     """Load a bundled vehicle (``mushr``), a YAML file, ``module:attribute`` or ``path/to/file.py:attribute``.
 
     Args:
@@ -38,6 +41,7 @@ def load_vehicle(reference: str, folder: Path | None = None, parameters: Mapping
     Raises:
         InputError: with every problem of the reference, the file, the code or the parameters.
     """
+    reference = fspath(reference)
     resolved = resolved_reference(reference, folder or Path.cwd())
     if is_code(resolved):
         vehicle = with_parameters(vehicle_in_code(resolved, reference), parameters or {})

@@ -161,7 +161,10 @@ def test_slow_poses_and_a_missing_dead_man_are_warnings() -> None:
 def test_of_a_simulated_robot_neither_a_dead_man_nor_an_identified_model_is_expected() -> None:
     found = checked(poses(), robot(simulated=True))
     assert states(found)["dead man"] == "ok"
-    assert [_check_model(load_vehicle("benchmark"), is_simulated=known).state for known in (True, False)] == ["ok", "warning"]
+    assert [_check_model(load_vehicle("benchmark"), is_simulated=known).state for known in (True, False)] == [
+        "ok",
+        "warning",
+    ]
     assert load_robot("sim").simulated
     assert not load_robot("f1tenth").simulated
 
