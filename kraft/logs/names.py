@@ -98,7 +98,7 @@ def parse(name: str) -> Name:
     return Name(words, unit)
 
 
-TIME: Final = {"t", "time", "timestamp", "stamp", "ts", "clock", "seconds", "secs"}
+TIME: Final = {"t", "time", "timestamp", "stamp", "ts", "clock", "seconds", "secs", "sec"}
 YAW: Final = ("yaw", "heading", "theta", "psi", "th", "phi", "hdg")
 COMMAND: Final = {
     *("cmd", "cmds", "command", "commands", "commanded", "control", "controls", "ctrl", "action", "input", "u", "act"),
@@ -168,12 +168,15 @@ _MEASURED: Final = {
 
 def time_score(name: str, family: set[str]) -> int | None:
     """Score of a column as the clock of a family (commands or poses)."""
-    words = parse(name).words
-    if not words or not TIME & {words[-1], words[0]} or {"arrival", "received", "delay", "cov"} & set(words):
+    found = parse(name)
+    words = found.words
+    named = bool(words) and bool(TIME & {words[-1], words[0]})
+    by_unit = found.unit in ALLOWED["time"] and set(words) <= COMMAND | POSE  # pose_ns, cmd.secs
+    if not (named or by_unit) or {"arrival", "received", "delay", "cov"} & set(words):
         return None
     rest = [word for word in words if word not in TIME]
     strange = sum(word in (COMMAND | POSE) - family for word in rest)
-    return 100 - len(words) + 20 * any(word in family for word in rest) - 60 * strange
+    return 100 - len(words) + 20 * any(word in family for word in rest) - 60 * strange - 10 * (not named)
 
 
 def axis_score(name: str, axis: str) -> int | None:

@@ -14,6 +14,8 @@ from kraft.logs.table import Flags, Rows
 
 BACKWARD_MAX: Final = 0.2
 """Largest share of rows that run backwards in time; a file with more holds several recordings."""
+TIED_MAX: Final = 0.5
+"""Largest share of rows with another value at the time stamp of the row before; a clock with more is too coarse."""
 VALUE_MAX: Final = 1e30
 """Largest plausible value in any unit; larger ones are corrupt bytes."""
 
@@ -105,6 +107,13 @@ def _forward(samples: Samples, findings: Findings, rows: str) -> Samples:
         findings.add("backward", bad, f"{fact}, first in {samples.where(first)}; left out")
         samples = samples.keep(~wrong)
     twice = np.diff(samples.times, prepend=-np.inf) <= 0.0
+    other = np.any(np.diff(samples.values, axis=0, prepend=np.nan) != 0.0, axis=1)
+    tied = twice & other  # a recorder may repeat a whole row
+    if tied.sum() > max(1.0, TIED_MAX * len(samples)):
+        column = samples.stream.time.column
+        fact = f"{int(tied.sum())} of {len(samples)} {rows} have the {column} of the one before, and other numbers"
+        expected = "expected a time stamp of its own for each row: is this clock rounded, or another column its rest?"
+        raise samples.refuse(fact, expected, int(np.argmax(tied)))
     if twice.any():
         first, bad = int(np.argmax(twice)), int(np.sum(twice))
         fact = f"{bad} of {len(times)} {rows} have the time stamp of the one before"

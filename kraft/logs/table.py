@@ -6,6 +6,7 @@ CSV files may have any separator, units, comments and empty cells, but must have
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -67,7 +68,9 @@ class Table:
 _SEPARATORS: Final = (",", ";", "\t", " ")
 _WORDS: Final = {"true": 1.0, "false": 0.0}
 _HEADING: Final = "expected the names of the columns, such as t,throttle,steering,x,y,yaw"
-_SECONDS: Final = {".secs": ".nsecs", ".sec": ".nanosec"}  # how exported ROS stamps are split into two columns
+_SECONDS: Final = re.compile(r"(?:^|(?<=[._/ ]))(?:secs?|seconds)$", re.IGNORECASE)
+_NANOSECONDS: Final = ("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds")
+"""How ROS tools export a stamp as two columns: `header.stamp.secs` and `header.stamp.nsecs`, `sec` and `nanosec`."""
 
 
 def read_csv(path: Path, content: bytes) -> Table:
@@ -223,11 +226,20 @@ def _number(text: str) -> float:
 
 
 def _joined_stamps(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Columns with ``header.stamp`` in place of ``header.stamp.secs`` and ``header.stamp.nsecs``."""
+    """Columns with the nanoseconds of a split time stamp added to its seconds, and without a column of their own."""
     joined = dict(columns)
     for name in columns:
-        for whole, fraction in _SECONDS.items():
-            stem = name.removesuffix(whole)
-            if name.endswith(whole) and stem + fraction in columns and stem not in columns:
-                joined[stem] = joined.pop(name) + 1e-9 * joined.pop(stem + fraction)
+        found = _SECONDS.search(name)
+        if found is None:
+            continue
+        stem = name[: found.start()].lower()
+        fractions = [other for other in joined if other.lower() in {stem + last for last in _NANOSECONDS}]
+        if len(fractions) == 1 and _are_split(joined[name], joined[fractions[0]]):
+            joined[name] = joined[name] + 1e-9 * joined.pop(fractions[0])
     return joined
+
+
+def _are_split(seconds: Array, nanoseconds: Array) -> bool:
+    """Whether two columns are the whole seconds and the rest of the same time stamps, and not two clocks."""
+    whole, rest = seconds[np.isfinite(seconds)], nanoseconds[np.isfinite(nanoseconds)]
+    return bool((whole == np.floor(whole)).all() and (rest >= 0.0).all() and (rest < 1e9).all())

@@ -135,6 +135,12 @@ def test_commands_that_are_logged_when_they_change_are_held(tmp_path: Path) -> N
     assert len(part.poses) == len(MADE.poses)
 
 
+def test_a_clock_too_coarse_for_its_rows_is_refused_with_the_first_of_them(tmp_path: Path) -> None:
+    problems, text = refused(tmp_path, t=np.floor(TIMES))
+    assert problems == ["a.csv:3 data"]
+    assert "of 235 rows have the t of the one before, and other numbers" in text
+
+
 def test_poses_before_the_first_command_and_long_after_the_last_are_left_out(tmp_path: Path) -> None:
     keep = (MADE.command_times > 1) & (MADE.command_times < 4)
     (log,) = read_logs(

@@ -12,6 +12,7 @@ from support.logs import Drive, drive, located, wide_columns, wrapped, write_pai
 
 from kraft.errors import InputError
 from kraft.logs.log import Log
+from kraft.logs.mapping import Mapping
 from kraft.logs.matching import missing_columns
 from kraft.logs.names import axis_score, control_score, parse, time_score, yaw_score
 from kraft.logs.reader import read_logs
@@ -344,7 +345,28 @@ def test_tables_that_ros_tools_export_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.parts[0].poses, MADE.poses, atol=1e-9)
     np.testing.assert_allclose(log.parts[0].command_times, MADE.command_times, atol=1e-6)
     assert "time from 'time' (ns, converted, by their size)" in log.guess
-    assert "time from 'header.stamp' (s)" in log.guess
+    assert "time from 'header.stamp.secs' (s)" in log.guess
+
+
+@pytest.mark.parametrize(
+    ("seconds", "rest"),
+    [("secs", "nsecs"), ("sec", "nanosec"), ("stamp_secs", "stamp_nsecs"), ("pose.sec", "pose.nanosec")],
+)
+def test_the_nanoseconds_of_a_split_stamp_are_added_to_its_seconds(tmp_path: Path, seconds: str, rest: str) -> None:
+    times = 1_700_000_000.5 + WIDE["t"]
+    columns = {seconds: times // 1, rest: times % 1 * 1e9, **{name: WIDE[name] for name in WIDE if name != "t"}}
+    path = write_table(tmp_path / "a.csv", list(columns), list(columns.values()))
+    named = Mapping.model_validate({"commands": {"time": seconds}, "poses": {"time": seconds}})
+    for mapping in (Mapping(), named):
+        (log,) = read_logs(path, mapping=mapping).logs
+        np.testing.assert_allclose(log.parts[0].pose_times, WIDE["t"] - WIDE["t"][0], atol=1e-6)
+
+
+def test_a_second_clock_in_nanoseconds_is_not_the_rest_of_the_first(tmp_path: Path) -> None:
+    columns = {"stamp_sec": WIDE["t"], "stamp_nanosec": WIDE["t"] * 1e9, **WIDE}
+    columns.pop("t")
+    path = write_table(tmp_path / "a.csv", list(columns), list(columns.values()))
+    assert problems_of(path) == ["a.csv conflict"]
 
 
 def test_a_control_of_another_vehicle_is_looked_for_by_its_name(tmp_path: Path) -> None:
