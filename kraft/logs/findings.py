@@ -68,7 +68,7 @@ def add_command_gaps(streams: Sequence[Samples], limits: Limits, findings: Findi
     """Add gaps in the commands, which end a part."""
     for samples in streams:
         steps = np.diff(samples.times)
-        _add_gaps("command gap", "commands", samples, steps > timeout(samples.times, limits), steps, findings)
+        _add_gaps("command gap", "commands", samples, steps > timeout(samples, limits), steps, findings)
 
 
 def add_repeated_commands(streams: Sequence[Samples], findings: Findings) -> None:

@@ -18,6 +18,10 @@ GAP_STEPS: Final = 10.0
 """A gap is longer than `GAP_MIN` s and than this many median steps."""
 RATE_STEP_RATIO: Final = 3.0
 """Commands whose steps are rarely longer than this many median steps are periodic; others are logged on change."""
+REPEATED_SHARE: Final = 0.01
+"""Share of commands that are the same as the one before, below which a recorder may write changes alone."""
+HOLDS_MIN: Final = 3
+"""Number of long steps that shows it, where commands also change at a rate, as while the wheel is turned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,17 +50,21 @@ class HeldCommands:
         return np.where((index >= 0) & (times <= self.until[index]), index, -1)
 
 
-def timeout(times: Array, limits: Limits) -> float:
+def timeout(samples: Samples, limits: Limits) -> float:
     """Time for which a command of a stream is in force if no other follows, s."""
     if limits.command_gap is not None:
         return limits.command_gap
+    times = samples.times
     if len(times) < 10:
         return float("inf")
     steps = np.diff(times)
     usual = float(np.median(steps))
     if np.mean(steps > RATE_STEP_RATIO * usual) > 0.1:
         return float("inf")
-    return max(GAP_MIN, GAP_STEPS * usual)
+    longest = max(GAP_MIN, GAP_STEPS * usual)
+    same = np.all(np.diff(samples.values, axis=0) == 0.0, axis=1)
+    on_change = np.mean(same) < REPEATED_SHARE and np.sum(steps > longest) >= HOLDS_MIN
+    return float("inf") if on_change else longest
 
 
 def merge_commands(streams: Sequence[Samples], controls: Sequence[str], limits: Limits) -> HeldCommands:
@@ -67,7 +75,7 @@ def merge_commands(streams: Sequence[Samples], controls: Sequence[str], limits: 
     until = np.full(len(times), np.inf)
     for samples in streams:
         index = np.searchsorted(samples.times, times, side="right") - 1
-        until = np.minimum(until, samples.times[index] + timeout(samples.times, limits))
+        until = np.minimum(until, samples.times[index] + timeout(samples, limits))
         for role, values in zip(samples.stream.roles, samples.values.T, strict=True):
             columns[role] = values[index]
     return HeldCommands(times, np.column_stack([columns[name] for name in controls]), until)

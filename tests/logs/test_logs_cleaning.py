@@ -135,6 +135,21 @@ def test_commands_that_are_logged_when_they_change_are_held(tmp_path: Path) -> N
     assert len(part.poses) == len(MADE.poses)
 
 
+def test_commands_that_are_logged_when_they_change_are_held_between_sweeps_at_a_rate(tmp_path: Path) -> None:
+    at_a_rate = (MADE.command_times * 10).astype(int) % 13 < 7  # sweeps of 0.7 s, holds of 0.6 s
+    kept = MADE.command_times[at_a_rate]
+    made = Drive(kept, MADE.commands[at_a_rate], MADE.pose_times, MADE.poses)
+    (log,) = read_logs(write_pair(tmp_path, made)).logs
+    (part,) = log.parts
+    np.testing.assert_array_equal(part.command_times, kept)
+    assert len(part.poses) == len(MADE.poses)
+    repeated = made.commands.copy()
+    repeated[1::2] = repeated[: len(repeated) // 2 * 2 : 2]  # sent at a rate, whether they change or not
+    write_pair(tmp_path / "rate", Drive(kept, repeated, MADE.pose_times, MADE.poses))
+    (log,) = read_logs(tmp_path / "rate").logs
+    assert finding(log, "command gap").count == 4
+
+
 def test_a_clock_too_coarse_for_its_rows_is_refused_with_the_first_of_them(tmp_path: Path) -> None:
     problems, text = refused(tmp_path, t=np.floor(TIMES))
     assert problems == ["a.csv:3 data"]
