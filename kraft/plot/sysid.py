@@ -53,7 +53,7 @@ from kraft.plot.sysid_panels import (
     table_height,
 )
 from kraft.sysid.acceptance import PredictionEvaluation
-from kraft.sysid.data import LogSplit
+from kraft.sysid.data import LogSplit, used_text
 from kraft.sysid.interface import Identification, PartFit
 from kraft.sysid.prediction import median_error_log
 from kraft.text import counted
@@ -131,7 +131,8 @@ def _notes(split: LogSplit, result: Identification, evaluation: PredictionEvalua
     pair, whose = (unseen, "held out") if unseen else (evaluation.fitted, "fitted")
     source, noise = "measured" if result.noise_measured else "stated", result.noise
     return {
-        "driven": f"{sum(log.duration for log in (*split.fitted, *split.held_out)):.0f} s",
+        "fitted": used_text(split.fitted),
+        **({"held out": used_text(split.held_out)} if split.held_out else {}),
         "95 % intervals": result.interval,
         f"noise of the poses, {source}": f"{1000 * noise.position:.2g} mm, {math.degrees(noise.yaw):.2g}°",
         f"open loop, {whose}": f"{100 * pair.errors.overall_position:.2f} cm",

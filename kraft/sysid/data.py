@@ -170,3 +170,10 @@ def split_logs(logs: Sequence[Log], holdout: float | None = None) -> LogSplit:
     out = tuple(log for k, log in enumerate(logs) if k in chosen)
     fitted = tuple(log for k, log in enumerate(logs) if k not in chosen)
     return LogSplit(fitted, out, f"{held} of {counted(count, 'log')} held out: {', '.join(log.name for log in out)}")
+
+
+def used_text(logs: Sequence[Log]) -> str:
+    """Number of logs, their duration, and how much of it is used, as text: ``6 logs, 512 of 600 s``."""
+    used, whole = sum(log.duration for log in logs), sum(log.parts[-1].pose_times[-1] for log in logs if log.parts)
+    of = f" of {whole:.0f}" if f"{used:.0f}" != f"{whole:.0f}" else ""
+    return f"{counted(len(logs), 'log')}, {used:.0f}{of} s"

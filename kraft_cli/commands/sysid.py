@@ -126,7 +126,7 @@ def sysid(
 def _report_details(terminal: Terminal, result: SysidResult) -> None:
     """Report the details that -v requests."""
     from kraft.text import counted
-    from kraft_cli.work.sysid_report import model_table
+    from kraft_cli.work.sysid_report import BY_TERMS, choice_lines, model_table
 
     initial = ", ".join(f"{name} {value:g}" for name, value in result.base.vehicle.parameters.items())
     terminal.detail(f"model {result.base.model}, from {initial}")
@@ -134,18 +134,25 @@ def _report_details(terminal: Terminal, result: SysidResult) -> None:
     terminal.detail(
         f"identified in {result.seconds:.2f} s: {state} after {counted(result.identification.iterations, 'iteration')}"
     )
-    for cells in model_table(result.identification.trials)[1]:
-        terminal.detail("  ".join(cells).rstrip())
+    trials = result.identification.trials
+    for line in (*("  ".join(cells).rstrip() for cells in model_table(trials)[1]), *choice_lines(trials, BY_TERMS)):
+        terminal.detail(line)
 
 
 def _print(terminal: Terminal, result: SysidResult) -> None:
-    from kraft_cli.work.sysid_report import model_table, parameter_table, prediction_table, summary_lines
+    from kraft_cli.work import sysid_report as report
 
-    for heading, rows in (model_table(result.identification.models), parameter_table(result), prediction_table(result)):
+    models = result.identification.models
+    for (heading, rows), below in (
+        (report.model_table(models), report.choice_lines(models, report.BY_MODEL)),
+        (report.parameter_table(result), []),
+        (report.prediction_table(result), []),
+    ):
         if rows:
             terminal.table(heading, rows)
-            terminal.data("")
-    for line in summary_lines(result):
+            for line in (*below, ""):
+                terminal.data(line)
+    for line in report.summary_lines(result):
         terminal.data(line)
     if result.request.out is not None and not result.objections:
         terminal.data(f"vehicle file {result.request.out}: kraft plan turns --vehicle {result.request.out}")

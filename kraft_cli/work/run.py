@@ -24,7 +24,7 @@ from kraft.planning.feasibility import check_reachable
 from kraft.planning.stated_speed import faster_than_stated
 from kraft.scenario import Scenario
 from kraft.text import counted, finite, metres
-from kraft.trial.measures import Measures
+from kraft.trial.measures import BAND, Measures
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
 from kraft_cli.work.run_folder import write_run
 from kraft_cli.work.trial_outputs import NO_OUTPUT, OutputOptions, TrialOutputs
@@ -255,10 +255,12 @@ def measures_table(measures: Measures, contingencies: int) -> list[tuple[str, st
     if measures.watchdog_stops:
         rows.append(("watchdog", counted(measures.watchdog_stops, "stop")))
     if consistency is not None and consistency.share is not None and consistency.mean is not None:
+        low, high = BAND
         rows.append(
             (
                 "covariance",
-                f"error squared {consistency.mean:.1f} (3 if consistent), {consistency.share:.0%} in its 95 % band",
+                f"normalised squared error of a pose {consistency.mean:.1f} on average (3 if consistent), "
+                f"{consistency.share:.0%} of the poses within {low:.2g} to {high:.2g} (95 % if consistent)",
             )
         )
     return rows

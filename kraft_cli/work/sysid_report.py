@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, Final
 
+from kraft.sysid.data import used_text
 from kraft.sysid.interface import ModelTrial, ParameterEstimate, PredictionErrors
 from kraft.sysid.prediction import HORIZONS
 from kraft.text import counted
@@ -114,6 +115,21 @@ def model_table(trials: Sequence[ModelTrial]) -> Table:
     ]
 
 
+BY_MODEL: Final = "chosen: the least error over its time, on average over 1, 2 and 3 s and over the logs"
+BY_TERMS: Final = (
+    "chosen: of the structures within one standard error of the best, or at most 4 % worse, the simplest; then with "
+    "the terms that the likelihood of the poses shows"
+)
+"""What decides between the rows of a table of models, and of one of structures."""
+
+
+def choice_lines(trials: Sequence[ModelTrial], rule: str) -> list[str]:
+    """The rule of a choice, where another row than the chosen one has a smaller error at some time; else nothing."""
+    of_chosen = next((trial.errors for trial in trials if trial.chosen), {})
+    better = any(trial.errors.get(after, math.inf) < error for trial in trials for after, error in of_chosen.items())
+    return [rule] if better else []
+
+
 def _changed(trial: ModelTrial) -> str:
     """Terms that were switched off or on again, as words after the name of a model."""
     if trial.added:
@@ -130,6 +146,8 @@ def summary_lines(result: SysidResult) -> list[str]:
     lines = [
         f"{state} after {counted(identification.iterations, 'iteration')}, {result.seconds:.2f} s; "
         f"intervals follow {why}",
+        f"fitted to {used_text(result.split.fitted)}"
+        + (f"; tested on {used_text(result.split.held_out)}" if result.split.held_out else ""),
         f"noise of the poses {1000 * noise.position:.3g} mm, {math.degrees(noise.yaw):.2g} deg, {origin}",
         *identification.notes,
     ]

@@ -16,10 +16,12 @@ from support.recorded import FOUR, IDENTIFY
 
 from kraft.recording import experiment
 from kraft.sysid import factor_graph as compilation
+from kraft.sysid.interface import ModelTrial
 from kraft.sysid.parameters import is_unknown_to_planning
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
 from kraft_cli.work import sysid as module
+from kraft_cli.work.sysid_report import BY_MODEL, choice_lines
 from kraft_cli.work.sysid_request import SysidRequest, checked
 
 KEYS = {"model", "params", "rmse_train_m", "rmse_holdout_m", "logs", "converged", "iterations", "wall_s", "warnings"}
@@ -463,3 +465,9 @@ def test_a_table_of_poses_without_rows_is_named_for_a_robot_with_two_sides(
     problem, last = said(capsys)
     assert problem.startswith(f"{run / 'poses.csv'}: has a heading but no rows")
     assert last == "error: the only log cannot be used"
+
+
+@pytest.mark.parametrize(("other", "says"), [(0.02, False), (0.009, True)])
+def test_the_rule_of_a_choice_is_told_where_another_row_is_better(other: float, says: bool) -> None:
+    rows = [ModelTrial("car", (), "", {1.0: other, 2.0: 0.05}, False), ModelTrial("b", (), "", {1.0: 0.01}, True)]
+    assert choice_lines(rows, BY_MODEL) == ([BY_MODEL] if says else [])

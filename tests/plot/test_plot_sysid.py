@@ -52,6 +52,14 @@ def test_parameters_fit_residuals_prediction_and_correlation_are_on_the_page() -
     assert "not identified" not in seen
 
 
+def test_the_page_has_the_number_and_the_used_time_of_fitted_and_of_held_out_logs() -> None:
+    part = LOGS[3].parts[0]
+    late = replace(part, pose_times=part.pose_times + 4.0, command_times=part.command_times + 4.0)
+    seen = texts(page(replace(SPLIT, held_out=(replace(LOGS[3], parts=(late,)),)), RESULT))
+    assert "3 logs, 24 s" in seen
+    assert "1 log, 8 of 12 s" in seen
+
+
 def test_a_long_name_of_a_log_leaves_the_caption_beside_it_its_room() -> None:
     split = replace(SPLIT, held_out=(replace(LOGS[3], name="recorded_in_the_large_hall_" * 3),))
     (line,) = [line for line in texts(page(split, RESULT)).splitlines() if line.startswith("Prediction of")]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from benchmarks.sysid import TRUTH
 from kraft.errors import Code, InputError
 from kraft.sysid import Identification, Settings, identify, prediction_errors
 from kraft.sysid.actuators import _integrals, hat_means, through_play
+from kraft.sysid.checks import _bounds, notes_of
 from kraft.sysid.dynamics import DiscreteModel, Dynamics
 from kraft.sysid.parameters import auxiliary_parameters, parameters_of, vehicle_of
 from kraft.sysid.problem import ObservationModel
@@ -284,3 +287,17 @@ def test_a_lag_of_the_throttle_is_what_a_prompt_model_lacks() -> None:
     result = shown_by("mushr", TRUTH)
     assert "lag_throttle" in result.auxiliary
     assert result.values["lag_throttle"] == pytest.approx(TRUTH["tau"] - 0.1, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "warned"), [("tau_yaw", 0.04, True), ("steer", 1.5, True), ("friction", 0.0, False)]
+)
+def test_a_parameter_at_a_bound_is_warned_of_unless_it_is_off_there(name: str, value: float, warned: bool) -> None:
+    parameters = parameters_of(load_vehicle_config("car-lag"), Settings(), ())
+    rho = parameters.nominal.copy()
+    rho[parameters.names.index(name)] = value
+    problem = SimpleNamespace(parameters=parameters, chains=SimpleNamespace(h=np.array([0.05])))
+    solved: Any = SimpleNamespace(problem=problem, optimum=SimpleNamespace(point=SimpleNamespace(rho=rho)))
+    found = [text for text in _bounds(solved) if text.startswith(f"{name} is at its")]
+    assert bool(found) is warned
+    assert any(text.startswith(f"{name} is 0, its lower bound") for text in notes_of(solved)) is not warned

@@ -11,6 +11,7 @@ from support.fake_trials import cycle
 
 from kraft.driving.messages import ContingencyOrigin, Cycle, PlanLoss, PredictedMotion
 from kraft.trial.measures import BAND, Measures, Step, farthest_point, measure, normalised_squares, pooled
+from kraft_cli.work.run import measures_table
 from ompl_ext.arrays import Matrix
 from ompl_ext.vehicle import Footprint
 
@@ -104,6 +105,15 @@ def test_the_band_holds_95_percent_of_a_consistent_estimators_errors() -> None:
     assert found is not None
     assert found.share == pytest.approx(0.95, abs=0.01)
     assert found.mean == pytest.approx(3.0, abs=0.15)
+
+
+def test_the_share_in_the_band_is_told_with_the_band() -> None:
+    (row,) = measures_table(measure([], [], FOOTPRINT, POSE, errors_squared=[1.0, 3.0, 5.0, 20.0]), 0)
+    assert row == (
+        "covariance",
+        "normalised squared error of a pose 7.2 on average (3 if consistent), 75% of the poses within 0.22 to 9.3 "
+        "(95 % if consistent)",
+    )
 
 
 def test_each_error_is_normalised_by_its_own_covariance() -> None:
