@@ -73,12 +73,13 @@ def _simplest(structures: Sequence[Structure]) -> Structure:
     return min(structures, key=lambda s: (len(s.terms), s.score))
 
 
-def is_near(structure: Structure, best: Structure, share: float) -> bool:
-    """Whether the mean error is within one standard error, or a share, of the best one."""
+def is_near(structure: Structure, best: Structure, share: float, most: float = math.inf) -> bool:
+    """Whether the mean error is within one standard error, but at most a share `most`, or a share of the best one."""
     difference = structure.scores - best.scores
     difference = difference[~np.isnan(difference)]
     deviation = float(difference.std(ddof=1)) if len(difference) > 1 else 0.0
-    return float(difference.mean()) <= max(deviation / math.sqrt(len(difference)), share * best.score)
+    by_chance = min(deviation / math.sqrt(len(difference)), most * best.score)
+    return float(difference.mean()) <= max(by_chance, share * best.score)
 
 
 def may_be_near(structure: Structure, best: Structure) -> bool:

@@ -30,7 +30,7 @@ from kraft.sysid.selection import (
     with_clock_offset,
 )
 from kraft.sysid.structure import HORIZON_SHARES, StructureSearch
-from kraft.sysid.structure_choice import NEGLIGIBLE_LOSS, Structure, best_of, chosen, is_near
+from kraft.sysid.structure_choice import CLEARLY_WORSE, NEGLIGIBLE_LOSS, Structure, best_of, chosen, is_near
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.vehicle import Vehicle
 
@@ -149,7 +149,9 @@ def simplified(found: Searched, alike: Structure, own: StructureSearch) -> Searc
         alike: the simpler model with the same terms.
         own: search for the terms of the simpler model.
     """
-    if set(found.best.terms) <= set(alike.terms) and is_near(alike, best_of(found.path), NEGLIGIBLE_LOSS):
+    if set(found.best.terms) <= set(alike.terms) and is_near(
+        alike, best_of(found.path), NEGLIGIBLE_LOSS, CLEARLY_WORSE
+    ):
         return found._replace(best=alike, trials=[*found.trials, alike])
     every, better = own.full(), not is_near(found.best, alike, NEGLIGIBLE_LOSS)
     # lags that the vehicle lacks bend the choice of other terms, with which the simpler model predicts badly as well
@@ -157,7 +159,8 @@ def simplified(found: Searched, alike: Structure, own: StructureSearch) -> Searc
         return found._replace(trials=[*found.trials, alike])
     other = searched(own, every)
     trials = [*found.trials, *other.trials]
-    if better or is_near(other.best, found.best, NEGLIGIBLE_LOSS):
+    # of few logs that differ much a standard error is large, and lags are cheaper than errors of that size
+    if better or is_near(other.best, found.best, NEGLIGIBLE_LOSS, CLEARLY_WORSE):
         return other._replace(trials=trials)
     return found._replace(trials=trials)
 

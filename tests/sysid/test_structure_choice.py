@@ -184,6 +184,16 @@ def test_lags_that_the_vehicle_lacks_do_not_hide_the_simpler_model(alike: float,
     assert search.searched == (taken == "own")
 
 
+@pytest.mark.parametrize(("error", "taken"), [(1.08, "own"), (1.12, "richer")])
+def test_logs_that_differ_much_do_not_excuse_a_model_without_lags_that_predicts_a_tenth_worse(
+    error: float, taken: str
+) -> None:
+    path = [structure("drag slip tau", 1.0), structure("slip tau", 1.0)]
+    search = KnownSearch(structure("drag slip", 1.0), structure("drag", error, spread=0.5))
+    found = simplified(Searched(path[1], UNUSED, path, path), structure("slip", 2.0), search)
+    assert found.best is {"own": search.known[1], "richer": path[1]}[taken]
+
+
 def test_the_chosen_structure_is_fitted_to_the_end() -> None:
     """Structures from which a term was switched off last were fitted with few iterations."""
 
