@@ -33,7 +33,7 @@ from kraft.logs.held_commands import (
 )
 from kraft.logs.log import Array, Finding, Findings, Part
 from kraft.logs.mapping import Limits, Mapping
-from kraft.logs.motion import AVERAGING_TIME, check_units, extent, leading_zeros, stale, top_speed, tracks
+from kraft.logs.motion import AVERAGING_TIME, OUTLIER, check_units, extent, leading_zeros, stale, top_speed, tracks
 from kraft.logs.parts import make_part, pose_gap, segments
 from kraft.logs.samples import Samples, read_samples
 from kraft.logs.streams import Choice
@@ -69,7 +69,8 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
     check_units(streams, poses, xyyaw, findings)
     poses, xyyaw = _without_zeros(poses, xyyaw, limits, findings)
     _check_number(poses, "without the zeros before the first pose, there are only")
-    streams = tuple(_sent(samples, poses.times, xyyaw, findings) for samples in streams)
+    reached = tracks(poses.times, xyyaw, limits.top_speed or top_speed(poses.times, xyyaw[:, :2])) != OUTLIER
+    streams = tuple(_sent(samples, poses.times[reached], xyyaw[reached], findings) for samples in streams)
     commands = merge_commands(streams, controls, limits)
     _check_overlap(commands, poses, choice)
     add_dropouts(poses, pose_gap(poses.times, limits), findings)
@@ -127,7 +128,7 @@ def _sent(samples: Samples, times: Array, xyyaw: Array, findings: Findings) -> S
     """Commands without the zeros that a recorder writes before the first one is sent.
 
     A vehicle at rest may well be commanded 0; zeros count as not sent if the vehicle moves meanwhile, or if they are
-    far from all other commands, as for pulse widths.
+    far from all other commands, as for pulse widths.  `times` (n,) and `xyyaw` (n, 3) are the poses without outliers.
     """
     raw = np.column_stack([samples.stream.table.columns[c.column] for c in samples.stream.channels])[samples.index]
     if not raw[0].any():

@@ -454,6 +454,15 @@ def test_a_car_that_waits_at_the_origin_is_commanded_zero(tmp_path: Path) -> Non
     assert len(log.parts[0].poses) == N
 
 
+def test_a_glitch_while_the_car_waits_is_no_motion(tmp_path: Path) -> None:
+    waits = {name: np.concatenate([np.zeros(30), WIDE[name][:-30] - WIDE[name][0]]) for name in ("x", "y", "yaw")}
+    waits["x"] = np.where(ROW == 12, 3.0, waits["x"] + 1.0 + 1e-4 * (ROW % 2))
+    commands = {name: np.where(ROW < 30, 0.0, WIDE[name]) for name in ("throttle", "steering")}
+    log = read(tmp_path, **waits, **commands)
+    assert finding(log, "outlier").count == 1
+    assert {f.kind for f in log.findings} <= {"wrap", "outlier"}
+
+
 @pytest.mark.parametrize(("every", "found"), [(4, 1), (1, 0)])
 def test_commands_that_are_recorded_more_often_than_they_are_sent_are_said(
     tmp_path: Path, every: int, found: int
