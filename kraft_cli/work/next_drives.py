@@ -297,7 +297,10 @@ def next_lines(found: NextDrives) -> list[str]:
     from kraft.recording.manoeuvres import REST
 
     size = f"{found.area.length:.2g} m x {found.area.width:.2g} m"
-    lines = [f"NEXT {counted(len(found.drives), 'drive').upper()}, in an area of {size}"]
+    lines = [
+        f"NEXT {counted(len(found.drives), 'drive').upper()}, in an area of {size}",
+        "commands as read from the logs: of a column in degrees in rad, with a mapping file after its zero and scale",
+    ]
     for k, drive in enumerate(found.drives, 1):
         needed = needed_area(drive.path)
         lines.append(

@@ -411,7 +411,9 @@ def test_next_drives_are_printed_and_their_commands_written(
     assert drives[0]["std"]["L"]["before"] == pytest.approx(content["params"]["L"]["std"])
     assert main(["sysid", *FOUR, *options]) == 0
     out = capsys.readouterr().out
-    assert "NEXT 2 DRIVES, in an area of 9 m x 8 m" in out
+    assert (
+        "NEXT 2 DRIVES, in an area of 9 m x 8 m\ncommands as read from the logs: of a column in degrees in rad" in out
+    )
     assert all(step in out for step in drives[0]["steps"])
 
 
