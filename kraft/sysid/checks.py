@@ -174,27 +174,24 @@ def _convergence(solution: SolvedProblem) -> Iterator[str]:
 
 def _bounds(solution: SolvedProblem) -> Iterator[str]:
     for spec, which, bound in _at_bounds(solution):
-        if _is_off(spec, bound):
-            continue
-        at = f"{spec.name} is at its {which} bound {bound:g}{spec.unit_text}"
-        if _is_a_step(solution, spec, bound):
+        if not (_is_off(spec, bound) or _is_a_step(solution, spec, bound)):
             yield (
-                f"{at}, the shortest lag that the model has: that of the vehicle is the same or shorter, and the delay "
-                "and other terms may make up for the difference"
-            )
-        else:
-            yield (
-                f"{at}: widen the bound if it is wrong; otherwise the model lacks an effect that the parameter "
-                "compensates for"
+                f"{spec.name} is at its {which} bound {bound:g}{spec.unit_text}: widen the bound if it is wrong; "
+                "otherwise the model lacks an effect that the parameter compensates for"
             )
 
 
 def notes_of(solution: SolvedProblem) -> Iterator[str]:
     """What parameters at a bound tell, if nothing is to be done about it."""
     for spec, which, bound in _at_bounds(solution):
+        at = f"{spec.name} is {bound:g}{spec.unit_text if bound else ''}, its {which} bound"
         if _is_off(spec, bound):
-            at = f"{spec.name} is {bound:g}{spec.unit_text if bound else ''}, its {which} bound"
             yield f"{at}: the data show no such effect, and a model without it suffices"
+        elif _is_a_step(solution, spec, bound):
+            yield (
+                f"{at} and the shortest lag that the model has: that of the vehicle is the same or shorter, and the "
+                "delay and other terms may make up for the difference"
+            )
 
 
 def _at_bounds(solution: SolvedProblem) -> Iterator[tuple[ParameterSpec, str, float]]:
