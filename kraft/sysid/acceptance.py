@@ -299,8 +299,9 @@ def objections(identification: Identification, evaluation: PredictionEvaluation)
     found = [] if identification.converged else ["the fit did not converge"]
     if not identification.names:
         found.append("every parameter of the model is frozen, and the data show no auxiliary parameter")
-    if identification.trials:  # terms were chosen by what they predict, single parameters need not be known
+    if identification.trials or identification.models:  # the model, or its terms, were chosen by what they predict
         found += useless_objections(identification, evaluation.held_out or evaluation.fitted)
+    if identification.trials:  # then single parameters need not be known
         return (*found, *(() if evaluation.held_out is None else prediction_objections(evaluation.held_out)))
     unidentified = [name for name in identification.unidentified if name not in identification.auxiliary]
     if unidentified:

@@ -29,7 +29,7 @@ from kraft.sysid.acceptance import (
 )
 from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle, with_recorded
 from kraft.sysid.data import LogSplit, split_logs
-from kraft.sysid.interface import ParameterEstimate, Settings
+from kraft.sysid.interface import ModelTrial, ParameterEstimate, Settings
 from kraft.sysid.parameters import parameters_of
 from kraft.sysid.prediction import Window
 from kraft.sysid.vehicle_file import (
@@ -279,6 +279,14 @@ def test_what_the_logs_do_not_show_is_an_objection() -> None:
     one = RESULT.graph_covariance.copy()
     one[0, 1] = one[1, 0] = -0.995 * np.sqrt(one[0, 0] * one[1, 1])
     assert objections(replace(RESULT, graph_covariance=one), EVALUATION) == ("L and phi_diff are indistinguishable",)
+
+
+def test_a_known_model_is_written_if_constant_motion_beats_it_only_where_the_user_named_it() -> None:
+    useless = PredictionPair(fake_windows(LOGS[3:], 1.0), fake_windows(LOGS[3:], 1.0), fake_windows(LOGS[3:], 0.1))
+    evaluation, row = replace(EVALUATION, held_out=useless), ModelTrial("mushr-lag", (), "", {1.0: 1.0}, True)
+    assert objections(RESULT, evaluation) == ()
+    (said,) = objections(replace(RESULT, models=(row,)), evaluation)
+    assert "constant speed and turning rate predict better" in said
 
 
 @pytest.mark.parametrize(("identified_drift", "warned", "refused"), [(0.1005, 0, 0), (0.11, 1, 0), (0.2, 1, 1)])
