@@ -192,7 +192,7 @@ sensing:
 
 def test_without_opencv_the_message_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(MissingDependency, match=r"kraft\[vision\]"):
+    with pytest.raises(MissingDependency, match=r"pip install .*\[vision\]"):
         opencv()
     with pytest.raises(MissingDependency):
         RenderedCamera(rendered(), 0)
