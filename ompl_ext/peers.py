@@ -66,7 +66,7 @@ def plan_with_ompl(
     si = setup.getSpaceInformation()
     planner = planner_class(si)
     if name == "rrt":
-        planner.setIntermediateStates(goal.has_heading or bool(goal.limits))  # a small goal lies within edges, too
+        planner.setIntermediateStates(goal.is_exact)  # a small goal lies within edges, too
     setup.setPlanner(planner)
     setup.setup()
     checks, began = [0], time.perf_counter()

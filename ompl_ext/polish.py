@@ -260,7 +260,7 @@ class Polish:
         )
         setting[[st.EVENNESS, st.BEGIN, st.SMALL_CHANGE]] = weights.evenness / interval, begin, weights.small_change
         setting[[st.SHORTEST, st.LONGEST]] = RANGE[0] * interval, RANGE[1] * interval
-        inside = INSIDE if goal.has_heading or goal.limits else 1.0
+        inside = INSIDE if goal.is_exact else 1.0
         setting[st.GOAL_DISTANCE] = min(inside * goal.radius, max(goal.radius - NEAR_BORDER, 0.5 * goal.radius))
         setting[[st.GOAL_HEADING, st.GOAL_SHARE]] = goal.heading, INSIDE
         setting[st.GOAL_TURN] = INSIDE * goal.tolerance if goal.has_heading else math.inf

@@ -154,7 +154,7 @@ def _set_goal(problem: Problem, goal: Goal, vehicle: Vehicle, settings: Settings
     scalar[[at.GOAL_COS, at.GOAL_SIN]] = math.cos(goal.heading), math.sin(goal.heading)
     scalar[at.GOAL_TOLERANCE] = math.cos(goal.tolerance) if goal.has_heading else -2.0
     scalar[at.GOAL_NEAR] = goal.radius + settings.longest * vehicle.top_speed
-    exact = goal.has_heading or bool(goal.limits)  # a disc alone needs no short edges: those that pass it end in it
+    exact = goal.is_exact  # a disc alone needs no short edges: those that pass it end in it
     scalar[at.SHORTEST_NEAR_GOAL] = (SHORT if exact else 1.0) * settings.shortest
     passes = settings.shortest * vehicle.top_speed > 4 * goal.radius  # over twice the diameter
     option[at.GOAL_HEADING], option[at.GOAL_LIMITS] = goal.has_heading, bool(goal.limits)

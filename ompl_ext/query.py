@@ -46,6 +46,11 @@ class Goal:
         """Whether the goal bounds the heading."""
         return self.tolerance < math.pi
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether the goal bounds the heading or other components of the state, beside the place."""
+        return self.has_heading or bool(self.limits)
+
     def contains(self, vehicle: Vehicle, state: Floats) -> bool:
         """Whether a state (nx,) of a vehicle is in the region."""
         return self.distance(vehicle, state) < self.radius and self.is_within_limits(vehicle, state)

@@ -206,6 +206,22 @@ def test_a_copy_sends_the_same_commands_and_leaves_the_controller_as_it_is() -> 
     assert not np.array_equal(commands[0][0], mppi(seed=2).command(Estimate(0.0, MOVING, 0.0), way(MOVING)))
 
 
+@pytest.mark.parametrize("heading", [None, 1.5])
+def test_updates_begin_with_the_controls_of_the_plan_where_its_last_moves_are_too_short_for_the_costs(
+    heading: float | None,
+) -> None:
+    """With hardly any noise a command is the control that its update began with."""
+    task = turns()
+    goal = replace(task.goal, heading=heading, heading_tolerance=None if heading is None else 0.1)
+    checking = Solvers.of(replace(task, goal=goal), mushr(), GEODESIC).checking
+    settings = SMALL.model_copy(update={"objective": "plan", "spread": 1e-6})
+    controller = make_controller(settings, model(), checking, 1)
+    path = way(MOVING)
+    plan = replace(path, controls=np.tile([0.4, -0.3], (len(path.times) - 1, 1)))
+    begun = [0.4, -0.3] if heading is not None else model().rest
+    assert controller.command(Estimate(0.2, MOVING, 0.0), plan) == pytest.approx(begun, abs=1e-4)
+
+
 @pytest.mark.parametrize(
     "settings", [Mppi(kind="mppi", rollouts=1000), Dwa(kind="dwa"), Nmpc(kind="nmpc")], ids=lambda each: each.kind
 )

@@ -69,6 +69,8 @@ class Rollouts:
         A collision costs more than the way to the goal from the farthest place.
         """
         self._dirt, togo = dirt, dirt.problem.togo
+        self.approaches = self._follows and dirt.goal is not None and dirt.goal.is_exact
+        """whether plans to an exact goal are followed: their last moves are too short for the costs to tell"""
         farthest = float(np.max(togo, where=togo < UNREACHABLE, initial=0.0))
         self._weights[at.ROLLOUT_COLLISION] = self._collision + self._weights[at.ROLLOUT_GOAL] * farthest
 
@@ -174,7 +176,11 @@ class MppiController:
             return self.law.command(estimate, reference)
         settings = self._settings
         self._shift(estimate.time)
-        for _ in range(settings.iterations if self._updates.are_due(estimate.time) else 0):
+        updates = settings.iterations if self._updates.are_due(estimate.time) else 0
+        if updates and self._rollouts.approaches:
+            times = estimate.time + settings.step * np.arange(settings.steps, dtype=np.float64)
+            self._nominal = self._model.clamped(reference.controls_at(times))
+        for _ in range(updates):
             costs = self._rollouts.costs(
                 estimate, reference, self._nominal, self._drawn(), self._noise, settings.hold, settings.gamma
             )
