@@ -78,7 +78,6 @@ class _Draft:
     """Entry whose scenario is not loaded yet."""
 
     name: str
-    base: str
     scenario: ScenarioLike
     overrides: tuple[Override, ...] = ()
 
@@ -89,11 +88,12 @@ class _Draft:
                 expected = "expected a name or a path, whose keys can be set"
                 name = self.name or self.scenario.name
                 raise InputError.of(name, "is a scenario that was loaded before", expected, Code.CONFLICT)
-            return Entry(self.name or self.scenario.name, self.base or self.scenario.name, "", self.scenario)
+            name = self.name or self.scenario.name
+            return Entry(name, name, "", self.scenario)
         scenario = load_scenario(self.scenario, self.overrides)
         settings = {each.key: plain_value(each.value) for each in self.overrides}
-        reference = str(self.scenario)
-        return Entry(self.name or scenario.name, self.base or scenario.name, reference, scenario, settings)
+        name = self.name or scenario.name
+        return Entry(name, name, str(self.scenario), scenario, settings)
 
 
 def load_suite(name_or_path: str | Path) -> list[Entry]:
@@ -133,42 +133,31 @@ def entries_of(
     for draft in drafts:
         try:
             _check_apart(draft, common, sweeps)
-            base = replace(draft, overrides=(*draft.overrides, *common)).load()
-            entries += list(_varied(draft, base, common, sweeps))
+            entries += list(_varied(replace(draft, overrides=(*draft.overrides, *common)), sweeps))
         except InputError as error:
-            problems += [*error.diagnostics, *_sweep_problems(draft, sweeps)]
+            problems += error.diagnostics
     problems += repeated_names("scenario", (entry.name for entry in entries)) if suite is None else []
     if problems:
         raise InputError(problems)
     return entries
 
 
-def _varied(
-    draft: _Draft, base: Entry, common: tuple[Override, ...], sweeps: tuple[tuple[Override, ...], ...]
-) -> Iterator[Entry]:
-    """Entry for each combination of the varied values; `base` itself if nothing is varied."""
-    if not sweeps:
-        yield base
-        return
+def _varied(draft: _Draft, sweeps: tuple[tuple[Override, ...], ...]) -> Iterator[Entry]:
+    """Entry for each combination of the varied values, or one if nothing is varied.
+
+    A key may need the value of a varied one, so no scenario is loaded without the varied values.
+    """
     problems: list[Diagnostic] = []
     for values in itertools.product(*sweeps):
-        label = ", ".join(f"{each.key}={value_text(each.value)}" for each in values)
         try:
-            overrides = (*draft.overrides, *common, *values)
-            yield replace(draft, name=f"{base.name} {label}", base=base.name, overrides=overrides).load()
+            entry = replace(draft, overrides=(*draft.overrides, *values)).load()
         except InputError as error:
             problems += error.diagnostics
+            continue
+        label = ", ".join(f"{each.key}={value_text(each.value)}" for each in values)
+        yield replace(entry, name=f"{entry.name} {label}") if values else entry
     if problems:
         raise InputError(problems)
-
-
-def _sweep_problems(draft: _Draft, sweeps: tuple[tuple[Override, ...], ...]) -> Iterator[Diagnostic]:
-    """Problems of the varied values alone, where the entry itself has problems."""
-    for override in itertools.chain.from_iterable(sweeps):
-        try:
-            replace(draft, overrides=(override,)).load()
-        except InputError as error:
-            yield from error.diagnostics
 
 
 def _drafts(scenarios: Sequence[ScenarioLike], problems: list[Diagnostic]) -> list[_Draft]:
@@ -176,7 +165,7 @@ def _drafts(scenarios: Sequence[ScenarioLike], problems: list[Diagnostic]) -> li
     problems += list_problems("scenario", scenarios)
     if isinstance(scenarios, str | Path):
         return []
-    return [_Draft("", "", scenario) for scenario in scenarios if scenario != ""]
+    return [_Draft("", scenario) for scenario in scenarios if scenario != ""]
 
 
 def list_problems(noun: str, given: Sequence[object]) -> Iterator[Diagnostic]:
@@ -210,7 +199,7 @@ def _suite_drafts(path: Path, problems: list[Diagnostic]) -> list[_Draft]:
         try:
             bundled.find("scenario", reference)
             overrides = _entry_overrides(document.source, k, entry.set, path.parent, problems)
-            drafts.append(_Draft(entry.name, entry.name, reference, overrides))
+            drafts.append(_Draft(entry.name, reference, overrides))
         except InputError as error:
             source, at = document.source, ("entries", k, "scenario")
             problems += [

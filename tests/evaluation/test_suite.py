@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -84,6 +85,13 @@ def test_values_are_varied_in_all_combinations() -> None:
     ]
     assert {entry.base for entry in found} == {"turns", "slip"}
     assert [entry.scenario.sensing.rate_hz for entry in found] == [5.0, 5.0, 30.0, 30.0] * 2
+
+
+def test_a_varied_key_may_need_one_that_is_set() -> None:
+    settings = {"goal.heading_tolerance_deg": 10}
+    found = entries_of(["turns"], settings=settings, vary={"goal.heading_deg": [0, 90]})
+    assert [entry.scenario.goal.heading for entry in found] == [0.0, pytest.approx(math.pi / 2)]
+    assert len(raised(lambda: entries_of(["turns"], settings=settings))) == 1
 
 
 def test_what_an_entry_sets_is_not_set_again() -> None:
