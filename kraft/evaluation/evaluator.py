@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from kraft.driving.control import check_packages, kernel_modules, needs_steps
+from kraft.driving.control import kernel_modules, needs_steps
 from kraft.errors import Code, Diagnostic, Problems, Unreachable, out_of_range
 from kraft.evaluation.cluster import Cluster
 from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, WARNINGS, Experiment, MethodLike, experiment_of
@@ -179,11 +179,10 @@ def _warn(experiment: Experiment, log: Log) -> None:
 
 def _ensure_compiled(experiment: Experiment, log: Log) -> None:
     """Compile what the trials need once here, not by every worker during a trial."""
+    experiment.check_packages()
     for reference in dict.fromkeys(cell.reference for cell in experiment.cells):
         cells = [cell for cell in experiment.cells if cell.reference == reference]
         vehicle = cells[0].vehicle
-        for cell in cells:
-            check_packages(cell.method)
         steps = any(needs_steps(cell.method, vehicle) for cell in cells)
         heading = any(cell.scenario.goal.heading is not None for cell in cells)
         polish = any(cell.method.planner.polish for cell in cells)

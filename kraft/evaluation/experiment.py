@@ -12,6 +12,7 @@ from os import fspath
 from pathlib import Path
 from typing import Final, TypeAlias
 
+from kraft.driving.control import check_packages
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
 from kraft.evaluation.job import Job
@@ -92,6 +93,19 @@ class Experiment:
     def seeds(self) -> range:
         """Seeds of the trials."""
         return range(self.seed, self.seed + self.trials)
+
+    def check_packages(self) -> None:
+        """Check that the packages of extras are installed that methods or cameras need, before anything is compiled.
+
+        Raises:
+            MissingDependency: if one is missing.
+        """
+        for cell in self.cells:
+            check_packages(cell.method)
+            if cell.scenario.sensing.preset == "rendered":
+                from kraft.simulation.imager import opencv  # loads the simulator
+
+                opencv()
 
     def jobs(self) -> Iterator[Job]:
         """Trials of all cells, cell by cell."""

@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import re
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -182,6 +183,25 @@ def test_a_goal_that_no_path_leads_to_is_reported_before_the_drive(
         assert content["schema"] == f"kraft.{command[0]}/1"
         assert content["reason"] == content["problems"][0]["problem"]
         assert (content["problems"][0]["line"], content["problems"][0]["column"]) == (6, 7)
+
+
+@pytest.mark.parametrize("command", ["run", "eval"])
+@pytest.mark.parametrize(
+    ("package", "options"),
+    [("casadi", ["--method", "nmpc"]), ("cv2", ["--set", "sensing.preset=rendered", "--method", "kraft"])],
+)
+def test_a_missing_extra_is_told_before_anything_is_compiled(
+    command: str, package: str, options: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def compiled(*_: object, **__: object) -> None:
+        raise AssertionError("compiled before the packages were checked")
+
+    monkeypatch.setitem(sys.modules, package, None)
+    for module in ("kraft_cli.work.run", "kraft.evaluation.evaluator"):
+        monkeypatch.setattr(f"{module}.ensure_compiled", compiled)
+    options = [option.replace("--method", "--methods" if command == "eval" else "--method") for option in options]
+    assert main([command, "turns", *options]) == 3
+    assert f"[{'mpc' if package == 'casadi' else 'vision'}]" in capsys.readouterr().err
 
 
 def test_every_place_that_is_taken_is_reported_before_the_drive(capsys: pytest.CaptureFixture[str]) -> None:
