@@ -47,12 +47,13 @@ class RunRequest:
 
 @dataclass(frozen=True)
 class Run:
-    """Request with its resolved trial, the values of keys that were set, and the result."""
+    """Request with its resolved trial, the values of keys that were set, the result, and warnings before the drive."""
 
     request: RunRequest
     spec: TrialSpec
     settings: Mapping[str, Any]
     result: TrialResult = field(repr=False)
+    warnings: tuple[str, ...] = ()
 
 
 def run_scenario(
@@ -90,16 +91,17 @@ def run_scenario(
     check_reachable(cell.scenario.task(), cell.vehicle)
     from kraft.trial.trial import run_trial  # loads the simulator
 
-    for text in (*(warning(cell) for warning in WARNINGS), faster_than_stated(cell.vehicle)):
-        if text:
-            report(f"warning: {text}")
+    found = (*(warning(cell) for warning in WARNINGS), faster_than_stated(cell.vehicle))
+    warnings = tuple(text for text in found if text)
+    for text in warnings:
+        report(f"warning: {text}")
     timer.report("kernels, maps and simulator loaded")
     spec = TrialSpec(cell.scenario, cell.method, cell.vehicle, request.seed)
     with TrialOutputs(request.outputs, spec, on_cycle) as outputs:
         result = run_trial(spec, outputs.on_cycle, outputs.on_step, keep_trees=outputs.keep_trees)
         outputs.finish(result)
     timer.report(f"{result.time:.2f} s driven" + (", drawn" if request.outputs != NO_OUTPUT else ""))
-    run = Run(request, spec, cell.entry.settings, result)
+    run = Run(request, spec, cell.entry.settings, result, warnings)
     if request.out is not None:
         arguments = {
             "scenario": request.scenario,
@@ -201,6 +203,7 @@ def run_table(run: Run) -> list[tuple[str, str]]:
         late = f", {result.late_commands} took longer than the time between two" if result.late_commands else ""
         median, worst = percentile(result.command_ms, 0.5), max(result.command_ms)
         rows.append(("commands", f"{median:.2f} ms median, {worst:.2f} ms worst{late}"))
+    rows += [("warning", text) for text in run.warnings]
     outputs = run.request.outputs
     made = (("film", outputs.video), ("picture", outputs.plot), ("bag", outputs.bag), ("written to", run.request.out))
     return rows + [(name, str(path)) for name, path in made if path is not None]

@@ -72,6 +72,15 @@ def test_a_person_gets_a_table_and_quiet_leaves_only_that(capsys: pytest.Capture
     assert err == ""
 
 
+def test_the_table_repeats_a_warning_of_before_the_drive(capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "configs" / "vehicles" / "f1tenth.yaml").read_text(encoding="utf-8")
+    Path("mine.yaml").write_text("\n".join(line for line in text.splitlines() if not line.startswith("truth:")))
+    main(["run", "short.yaml", "--vehicle", "mine.yaml"])
+    out, err = capsys.readouterr()
+    (told,) = [line.removeprefix("warning: ") for line in err.splitlines() if line.startswith("warning: ")]
+    assert re.search(rf"^warning +{re.escape(told)}$", out, re.MULTILINE)
+
+
 def test_the_folder_holds_every_tick_cycle_and_observation(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "short.yaml", "--seed", "1", "--out", "runs/one", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
