@@ -74,6 +74,27 @@ def test_the_picture_of_a_sweep_fits_the_window_and_its_words_can_be_read(
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
 
 
+def test_the_picture_of_a_sweep_is_as_dark_as_the_page_and_light_on_paper(
+    tab: Page, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
+    several = (*METHODS, "replanner-openloop", "cons-replanner-openloop", "conservative-kraft", "mppi", "dwa")
+    evaluate(["turns"], several, trials=1, vary={"sensing.noise_scale": [0, 1]}, out=tmp_path / "out")
+    tab.emulate_media(color_scheme="dark")
+    tab.goto((tmp_path / "out" / "report.html").as_uri())
+    parts = tab.locator(".sweep:visible rect, .sweep:visible text, .sweep:visible line, .sweep:visible circle")
+    fills, strokes = (
+        f"all => all.map(e => getComputedStyle(e).{name}).filter(c => c != 'none')" for name in ("fill", "stroke")
+    )
+    ground = tab.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert parts.evaluate_all(fills)[0] == ground
+    light = {"rgb(255, 255, 255)", "rgb(22, 24, 29)", "rgb(102, 112, 128)", "rgb(227, 230, 235)"}
+    assert light.isdisjoint(parts.evaluate_all(fills) + parts.evaluate_all(strokes))
+    tab.emulate_media(media="print", color_scheme="dark")
+    assert parts.evaluate_all(fills)[0] == "rgb(255, 255, 255)"
+    assert light <= set(parts.evaluate_all(fills) + parts.evaluate_all(strokes))
+
+
 def test_the_numbers_are_those_of_the_summary(tab: Page, driven: Driven) -> None:
     tab.goto(driven.url)
     rows = tab.locator("#overview tbody.rows tr").all()

@@ -189,7 +189,7 @@ def _words(name: str) -> str:
     return name.replace("_", " ")
 
 
-INK, GREY, RULE = "#16181d", "#667080", "#e3e6eb"
+GROUND, INK, GREY, RULE = "#fff", "#16181d", "#667080", "#e3e6eb"  # style.css names them, for dark pages
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#16181d")
 """Palette of Okabe and Ito without its yellow."""
 FONT: Final = "system-ui, 'DejaVu Sans', Helvetica, Arial, sans-serif"
@@ -263,7 +263,7 @@ def _picture(sweep: Sweep, measures: Sequence[_Measure], titles: Mapping[str, st
     legend, top = _legend(titles, width, 40.0 if fixed else 16.0)
     tall = TITLE + len(measures) * (HEIGHT + BETWEEN) - BETWEEN + FOOT
     parts: list[Content] = [
-        element("rect", x=0.0, y=0.0, width=width, height=top + lines * (tall + APART), fill="#fff")
+        element("rect", x=0.0, y=0.0, width=width, height=top + lines * (tall + APART), fill=GROUND)
     ]
     parts += [_text(fixed, LEFT, 17.0, size=14, anchor="start", weight="600") if fixed else None, *legend]
     for k, (base, points) in enumerate(sweep.panels.items()):
@@ -431,7 +431,7 @@ def colour(k: int) -> str:
 
 def _marker(k: int, x: float, y: float, size: float = 1.0, title: Element | None = None) -> Element:
     """Point of the k-th method, with a shape of its own, so that it can be told apart without colours."""
-    look: dict[str, Any] = {"fill": colour(k), "stroke": "#fff", "stroke_width": size}
+    look: dict[str, Any] = {"fill": colour(k), "stroke": GROUND, "stroke_width": size}
     shape = k % 5
     if shape == 0:
         return element("circle", title, cx=x, cy=y, r=4.0 * size, **look)
