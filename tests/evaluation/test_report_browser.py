@@ -142,6 +142,23 @@ def test_trials_are_filtered_and_sorted_and_the_filter_is_in_the_address(tab: Pa
     assert listed == pytest.approx(times, abs=0.006)
 
 
+@pytest.mark.parametrize(
+    ("trials", "said"),
+    [(31, ["show the other one"]), (40, ["show all 10 others"]), (365, ["show 300 more of 335", "show all 35 others"])],
+)
+def test_the_button_below_the_list_says_whether_it_shows_all_others(
+    trials: int, said: list[str], tab: Page, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
+    evaluate(["turns"], ["kraft"], trials=trials, out=tmp_path / "out")
+    tab.goto((tmp_path / "out" / "report.html").as_uri())
+    for text in said:
+        assert tab.inner_text("#trials-more") == text
+        tab.click("#trials-more")
+    assert not tab.locator("#trials-more").is_visible()
+    assert tab.locator("#trials tbody tr").count() == trials
+
+
 @pytest.mark.parametrize("width", [390, 1100])
 def test_no_window_hides_a_column_without_saying_so(tab: Page, driven: Driven, width: int) -> None:
     tab.set_viewport_size({"width": width, "height": 800})

@@ -69,7 +69,8 @@ function showList() {
     count === trials.length ? plural(count) : `${plural(count)} of ${trials.length.toLocaleString("en")}`;
   const more = document.getElementById("trials-more");
   more.hidden = count <= list.shown;
-  more.textContent = `show ${Math.min(count - list.shown, 10 * LISTED)} more of ${count - list.shown}`;
+  const others = count - list.shown;
+  more.textContent = others > 10 * LISTED ? `show ${10 * LISTED} more of ${others}` : others === 1 ? "show the other one" : `show all ${others} others`;
   showHints();
 }
 
