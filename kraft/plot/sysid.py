@@ -51,6 +51,7 @@ from kraft.plot.sysid_panels import (
     fit_panels,
     longest_time,
     table_height,
+    trial_names_height,
 )
 from kraft.sysid.acceptance import PredictionEvaluation
 from kraft.sysid.data import LogSplit, used_text
@@ -71,8 +72,10 @@ MATRIX: Final = 2.1
 GAP: Final = 0.75
 ROWS: Final = (2.9, 3.3, 2.7)
 """Heights of data and parameters (at least), fit, and prediction."""
-CHOICE, NAMES, MODEL = 1.7, 0.8, 0.28
-"""Heights of the choice of terms, of their names below it, which are turned, and of the bar of a model."""
+CHOICE, MODEL = 1.7, 0.28
+"""Heights of the choice of terms and of the bar of a model."""
+NAMES: Final = 0.8
+"""Room for the names of models left of their bars."""
 
 
 def plot_identification(
@@ -112,7 +115,8 @@ def compose(
         top += height + GAP
     if result.trials or result.models:
         tops.append(top)
-        top += CHOICE + NAMES if result.trials else MODEL * len(result.models) + 0.4
+        terms = CHOICE + trial_names_height(result.trials) if result.trials else 0.0
+        top += max(terms, MODEL * len(result.models)) + 0.4
     floor = Rectangle(LEFT, tops[0], FLOOR, ROWS[0])
     page = Page(WIDTH, top - 0.25, floor, floor, (), rows)
     figure = Figure(figsize=(page.width, page.height))
@@ -137,8 +141,9 @@ def _notes(split: LogSplit, result: Identification, evaluation: PredictionEvalua
         f"noise of the poses, {source}": f"{1000 * noise.position:.2g} mm, {math.degrees(noise.yaw):.2g}°",
         f"open loop, {whose}": f"{100 * pair.errors.overall_position:.2f} cm",
         "with the initial values": f"{100 * pair.initial_errors.overall_position:.2f} cm",
-        "fit": f"converged after {counted(result.iterations, 'iteration')}" if result.converged else "NOT converged",
-        "warning" if len(result.warnings) == 1 else "warnings": str(len(result.warnings)),
+        f"fit, {counted(len(result.warnings), 'warning')}": (
+            f"converged after {counted(result.iterations, 'iteration')}" if result.converged else "NOT converged"
+        ),
     }
 
 

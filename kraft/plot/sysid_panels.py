@@ -61,6 +61,8 @@ BAR: Final = 0.75
 """Least width of the bars in the table: the width of their heading."""
 BETWEEN: Final = 0.12
 """Room between columns of the table."""
+TURNED: Final = 35.0
+"""Angle of names below an axis, degrees."""
 DOWNWEIGHTED: Final = 0.5
 """Weight below which observations are marked."""
 
@@ -153,7 +155,7 @@ def draw_correlation(axes: Axes, names: Sequence[str], correlation: Floats) -> N
             value = float(correlation[i, j])
             colour = "white" if abs(value) > 0.6 else INK
             axes.text(j, i, plain_number(round(value, 2)), ha="center", va="center", fontsize=size, color=colour)
-    axes.set_xticks(range(count), labels=list(names), rotation=35, ha="right", rotation_mode="anchor")
+    axes.set_xticks(range(count), labels=list(names), rotation=TURNED, ha="right", rotation_mode="anchor")
     axes.set_yticks(range(count), labels=list(names))
     axes.tick_params(length=0, labelcolor=INK)
     axes.spines[:].set_visible(False)
@@ -232,7 +234,7 @@ def draw_trials(axes: Axes, trials: Sequence[ModelTrial]) -> list[ColouredText]:
     axes.set_xticks(
         at,
         [_tried(trials, k) for k in range(len(trials))],
-        rotation=35,
+        rotation=TURNED,
         ha="right",
         rotation_mode="anchor",
         fontsize=SMALL,
@@ -241,6 +243,12 @@ def draw_trials(axes: Axes, trials: Sequence[ModelTrial]) -> list[ColouredText]:
     axes.grid(color=RULE, linewidth=0.4)
     axes.set_ylabel("cm", labelpad=1)
     return found
+
+
+def trial_names_height(trials: Sequence[ModelTrial]) -> float:
+    """Height of the names of the structures below their errors, which are turned, in."""
+    longest = max(text_width(_tried(trials, k), SMALL) for k in range(len(trials)))
+    return (longest * math.sin(math.radians(TURNED)) + SMALL) / 72 + 0.1  # and the distance to the axis
 
 
 def _tried(trials: Sequence[ModelTrial], k: int) -> str:

@@ -119,9 +119,27 @@ def test_warnings_bounds_and_objections_are_on_the_page() -> None:
     assert "NOT converged" in seen
 
 
-def test_one_warning_is_counted_as_one() -> None:
-    assert "\nwarning\n" in f"\n{texts(page(SPLIT, replace(RESULT, warnings=('one',), iterations=1)))}\n"
-    assert "converged after 1 iteration" in texts(page(SPLIT, replace(RESULT, iterations=1)))
+@pytest.mark.parametrize(("warnings", "said"), [((), "fit, 0 warnings"), (("one",), "fit, 1 warning")])
+def test_the_number_of_warnings_stands_below_the_fit_in_one_line(warnings: tuple[str, ...], said: str) -> None:
+    lines = texts(page(SPLIT, replace(RESULT, warnings=warnings, iterations=1))).splitlines()
+    assert said in lines
+    assert "converged after 1 iteration" in lines
+
+
+@pytest.mark.parametrize(("terms", "models"), [(3, 0), (3, 2), (3, 12), (0, 12)])
+def test_the_names_of_terms_and_models_are_within_the_page(terms: int, models: int) -> None:
+    def tried(name: str, without: str = "") -> ModelTrial:
+        return ModelTrial(name, ("drag",), without, {1.0: 0.02}, chosen=False)
+
+    trials = tuple(tried("car-lag", "a_term_with_a_rather_long_name" if k else "") for k in range(terms))
+    found = replace(RESULT, trials=trials, models=tuple(tried(f"model-{k}") for k in range(models)))
+    figure = page(SPLIT, found)
+    figure.canvas.draw()
+    labels = [label for axes in figure.axes for label in (*axes.get_xticklabels(), *axes.get_yticklabels())]
+    named = [label for label in labels if label.get_text().startswith(("a_term", "model-"))]
+    assert len(named) == max(terms - 1, 0) + models
+    assert min(label.get_window_extent().y0 for label in named) > 0.0
+    assert min(axes.get_window_extent().y0 for axes in figure.axes) > 0.0
 
 
 def test_long_names_and_remarks_leave_the_table_beside_the_matrix() -> None:
