@@ -186,6 +186,8 @@ def test_the_measures_are_those_of_the_summary(monkeypatch: pytest.MonkeyPatch) 
     assert tags.classes("line")["delta"] == 3  # in each entry, and over both
     assert text.count("covariance: NEES") == 2
     assert "messages lost" not in text
+    assert "A clearance that is fixed in the settings of a method is no bound of what the car may deviate" in text
+    assert text.count("it may come with a clearance of some centimetres") == 2  # at the entries and at the list
     for result in found.summary.results:
         content = measures_json(result.measures)
         safe = result.contingencies - content["emergencies"] - content["contingencies_in_hand"]

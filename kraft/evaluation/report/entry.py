@@ -61,6 +61,13 @@ def endings(result: Result) -> list[tuple[str, int]]:
     return [(name, count) for name, count in counts.items() if count]
 
 
+CLEARANCE: Final = (
+    "The clearance is the smallest distance of the planner's footprint to an obstacle at the ticks of the controller; "
+    "a collision is a contact of the simulated body at any time, so it may come with a clearance of some centimetres."
+)
+"""What a clearance on the page is."""
+
+
 def trials_chart(
     rows: Sequence[TrialRow], seeds: range, commands: Mapping[int, str | None], link: Callable[[Key], str]
 ) -> Element:
@@ -291,7 +298,7 @@ def trials_section() -> Element:
     return element(
         "section",
         element("h2", "Trials"),
-        element("p", "Follow a link to replay a trial. A heading sorts by its column.", class_="key"),
+        element("p", f"{CLEARANCE} Follow a link to replay a trial. A heading sorts by its column.", class_="key"),
         element(
             "div", *filters, element("output", id="trials-count"), class_="filters", role="search", aria_label="trials"
         ),

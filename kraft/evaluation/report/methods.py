@@ -105,7 +105,9 @@ def methods(results: Results) -> Element | None:
 DEVIATION: Final = (
     "Largest distance of a point of the true car from where the committed prediction has it, by the time since the "
     "commit: median, and the bands up to 90\u00a0% and 99\u00a0% of the ticks. The dashed line is the mean of the "
-    "clearance δ(v) that the method asked for; the deviation should stay below it."
+    "clearance δ(v) that the method asked for. A clearance that is fixed in the settings of a method is no bound of "
+    "what the car may deviate; only the bound that a method measures while it drives promises that the deviation "
+    "stays below it."
 )
 
 

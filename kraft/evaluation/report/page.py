@@ -17,6 +17,7 @@ from kraft.evaluation.journal import TrialRow, success_times
 from kraft.evaluation.paper import PaperRow
 from kraft.evaluation.report.elements import NO_VALUE, Content, document, element, hint, outcome_legend, stacked
 from kraft.evaluation.report.entry import (
+    CLEARANCE,
     floor_plan,
     outcomes_chart,
     time_axis,
@@ -153,7 +154,8 @@ def _key(shown: Shown, failed: bool) -> Element:
             element("i", class_="ring"),
             " the paper's, ",
         ),
-        *(_stroke("bound upright"), " the lower bound, which is the shortest path at top speed."),
+        *(_stroke("bound upright"), " the lower bound, which is the shortest path at top speed. "),
+        CLEARANCE,
     )
     deviation = (
         " Deviation: the largest distance of a point of the true car from where the committed prediction has it: ",
