@@ -25,6 +25,9 @@ FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 NOUNS: Final = {"int_": "a whole number", "float_": "a number"}
 """What an option expects, by the beginning of the type of pydantic's error."""
 
+ALIKE: Final = 0.65
+"""Least similarity, without the hyphens, of an option of a command that is suggested: --metod is no --set."""
+
 MISSPELT: Final = 0.75
 """Least similarity of a misspelt option: --vision is --version, and --json, an option of the commands, is not."""
 
@@ -137,9 +140,19 @@ def _explain_usage(terminal: Terminal, error: typer.TyperException) -> ExitStatu
 def _usage_message(error: typer.TyperException) -> str:
     """Message of an error of usage; where an option precedes the name of its command, it says so."""
     option, context = getattr(error, "option_name", None), getattr(error, "ctx", None)
+    if option is not None and context is not None and hasattr(error, "possibilities"):
+        error.possibilities = _alike(option, context)
     if option is None or context is None or context.parent is not None or _is_misspelt(option, context):
         return error.format_message()
     return f"No such option before the command: {option}; expected it after, as in 'kraft COMMAND {option}'"
+
+
+def _alike(option: str, context: typer.Context) -> list[str]:
+    """Options of a command that begin as a misspelt one; without any, those that resemble it in more than hyphens."""
+    word = option.lstrip("-")
+    known = {name.lstrip("-"): name for parameter in context.command.params for name in parameter.opts}
+    longer = [name for each, name in known.items() if each.startswith(word)]
+    return longer or [known[each] for each in get_close_matches(word, known, cutoff=ALIKE)]
 
 
 def _is_misspelt(option: str, context: typer.Context) -> bool:
