@@ -268,6 +268,28 @@ def test_the_axes_of_the_panels_are_side_by_side_whatever_their_words(tab: Page,
     assert bottoms[0] == pytest.approx(bottoms[1], abs=1.0)
 
 
+@pytest.mark.parametrize(("width", "columns"), [(390, 1), (640, 1), (700, 2), (760, 2), (800, 2)])
+def test_as_many_panels_are_side_by_side_as_fit(width: int, columns: int, tab: Page, driven: Driven) -> None:
+    tab.set_viewport_size({"width": width, "height": 900})
+    tab.goto(driven.url)
+    tops = tab.locator(".panels figure").evaluate_all("all => all.map(e => e.getBoundingClientRect().top)")
+    assert len(set(tops)) == 2 / columns
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_the_names_of_entries_take_no_more_room_than_their_words_beside_narrow_cells(
+    tab: Page, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
+    many = (*METHODS, "conservative-kraft", "filtered-kraft", "replanner-openloop", "cons-replanner-openloop", "mppi")
+    evaluate(["turns", "slip"], many, trials=1, out=tmp_path / "out")
+    tab.set_viewport_size({"width": 700, "height": 900})
+    tab.goto((tmp_path / "out" / "report.html").as_uri())
+    assert tab.locator(".overview.narrow").count() == 1
+    widths = tab.locator(".overview tbody th").evaluate_all("all => all.map(e => e.getBoundingClientRect().width)")
+    assert max(widths) < 130
+
+
 @pytest.mark.parametrize("width", [761, 1100, 1400])
 def test_a_missing_time_does_not_look_like_the_sign_of_the_chance_beside_it(
     width: int, tab: Page, driven: Driven
