@@ -19,6 +19,11 @@ from kraft.scenario import Scenario
 
 MANIFEST: Final = "manifest.json"
 MANIFEST_SCHEMA: Final = "kraft.eval-manifest/1"
+OTHERS: Final = {
+    "kraft.drive-manifest/1": "a drive (kraft drive)",
+    "kraft.run-manifest/1": "one trial (kraft run)",
+}
+"""What the other folders with a manifest are of, by its schema."""
 DESCRIPTIVE: Final = ("arguments", "began", "host", "bounds_s")
 """Keys that may differ when an evaluation is resumed."""
 TEXTS: Final = ("title", "description")
@@ -99,6 +104,9 @@ def read_manifest(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict) or not isinstance(content.get("schema"), str):
         raise InputError.of(str(path), "has no schema", expected, Code.MISSING)
     if content["schema"] != MANIFEST_SCHEMA:
+        if (made := OTHERS.get(content["schema"])) is not None:
+            folder = "expected the results folder of an evaluation (kraft eval), which is what kraft report shows"
+            raise InputError.of(str(path.parent), f"is the folder of {made}", folder, Code.MISMATCH)
         problem = f"has the schema {content['schema']!r}"
         raise InputError.of(str(path), problem, f"expected {MANIFEST_SCHEMA!r}", Code.MISMATCH)
     rows = content.get("rows")

@@ -283,6 +283,16 @@ def test_a_damaged_folder_is_refused(spoil: Any, expected: list[str], capsys: py
     assert Path("out/report.html").read_bytes() == before
 
 
+@pytest.mark.parametrize("command", ["drive", "run"])
+def test_a_folder_of_another_command_is_said_to_be_that(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("mine").mkdir()
+    Path("mine/manifest.json").write_text(json.dumps({"schema": f"kraft.{command}-manifest/1"}))
+    assert main(["report", "mine"]) == 2
+    said = capsys.readouterr().err
+    assert places(said) == ["mine"]
+    assert f"(kraft {command}); expected the results folder of an evaluation" in said
+
+
 def test_wrong_folders_and_files_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     run()
     Path("file").touch()
