@@ -176,6 +176,10 @@ def _meet(
 CELLS_MAX: Final = 80_000_000
 BYTES_PER_PIXEL: Final = 24  # while an image is read
 
+NOT_AN_IMAGE: Final = "expected the map's YAML file, whose key `image` names the image"
+_PNG: Final = b"\x89PNG\r\n\x1a\n"
+_PGM: Final = tuple(b"P%d%c" % (kind, space) for kind in range(1, 7) for space in b" \t\r\n#")
+"""First bytes of images in the formats of PPM, none of which begins a YAML file of a map."""
 _FORMATS: Final = ("PPM", "PNG")  # Pillow reads PGM as a kind of PPM
 _LEVELS: Final = {"L;2": 85, "L;4": 17}
 """Brightness out of 255 of the first grey above black in a PNG of two or four bits, by Pillow's name for its pixels."""
@@ -232,6 +236,8 @@ def read_map(path: Path, *, height: float, name: str | None) -> OccupancyMap:
     Raises:
         InputError: if either is missing or invalid; problems of the image are reported at the ``image`` key.
     """
+    if is_image(path):
+        raise InputError.of(str(path), "is an image", NOT_AN_IMAGE, Code.MISMATCH)
     settings, document = read_model(path, MapServerFile)
     brightness, opaque = _read_image(path.parent / settings.image, document.source)
     if settings.mode == "raw":  # the brightness is the occupancy in percent, above 100 is unknown
@@ -241,6 +247,15 @@ def read_map(path: Path, *, height: float, name: str | None) -> OccupancyMap:
     occupied = np.flipud(~(free & opaque)).copy()
     occupied.setflags(write=False)
     return OccupancyMap(occupied, settings.resolution, settings.origin, height, name)
+
+
+def is_image(path: Path) -> bool:
+    """Whether a file begins as an image of a map does."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(_PNG)).startswith((_PNG, *_PGM))
+    except OSError:
+        return False  # reading its YAML reports it
 
 
 def _read_image(path: Path, source: Source) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

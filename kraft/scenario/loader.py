@@ -17,7 +17,17 @@ from kraft.config.schema import check, part
 from kraft.config.source import KeyPath
 from kraft.config.yaml_reader import parse_document, read_document
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.scenario.geometry import Box, Circle, Obstacle, OccupancyMap, Polygon, read_map, signed_area
+from kraft.scenario.geometry import (
+    NOT_AN_IMAGE,
+    Box,
+    Circle,
+    Obstacle,
+    OccupancyMap,
+    Polygon,
+    is_image,
+    read_map,
+    signed_area,
+)
 from kraft.scenario.scenario import Goal, Scenario, Start
 from kraft.scenario.schema import (
     CAMERA_HEIGHT,
@@ -155,12 +165,15 @@ def _maps(document: Document, folder: Path) -> tuple[dict[int, OccupancyMap], li
             continue
         path = _folder(document, ("obstacles", i, "map", "file"), folder) / settings.file
         name = _at(entry, ("name",))
+        at = ("obstacles", i, "map", "file")
         try:
             if not os.path.isfile(path):
-                at = ("obstacles", i, "map", "file")
                 expected = "expected the path of a map's YAML file, relative to this file"
                 problem = f"there is no file {path}"
                 problems.append(document.source.diagnostic(at, problem, expected, code=Code.NOT_FOUND))
+            elif is_image(path):
+                problem = f"{path} is an image"
+                problems.append(document.source.diagnostic(at, problem, NOT_AN_IMAGE, code=Code.MISMATCH))
             else:
                 maps[i] = read_map(path, height=settings.height, name=name if isinstance(name, str) else None)
         except InputError as error:

@@ -153,6 +153,22 @@ def test_a_scenario_holds_the_map_it_names_and_reports_its_problems(tmp_path: Pa
     assert located([problem]) == ["1:8 image unreadable"]
 
 
+@pytest.mark.parametrize("kind", ["pgm", "png", "pbm"])
+def test_an_image_in_place_of_the_file_of_a_map_is_said_to_be_one(kind: str, tmp_path: Path) -> None:
+    image = tmp_path / f"m.{kind}"
+    Image.new("1" if kind == "pbm" else "L", (3, 2), 255).save(image)
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(
+        "name: x\nbounds: {x: [0, 4], y: [0, 4]}\nstart: {x: 1, y: 1, heading_deg: 0}\n"
+        f"goal: {{center: [3, 3], radius: 0.5}}\nobstacles:\n  - {{map: {{file: {image.name}}}}}\n"
+    )
+    (problem,) = raised(lambda: load_scenario(scene))
+    assert located([problem]) == ["6:18 obstacles[0].map.file mismatch"]
+    assert (problem.file, problem.problem) == (str(scene), f"{image} is an image")
+    (problem,) = raised(lambda: read_map(image, height=0.2, name=None))
+    assert (problem.file, problem.problem) == (str(image), "is an image")
+
+
 def test_a_turned_map_turns_its_boxes() -> None:
     grid = OccupancyMap(np.array([[False, True]]), 1.0, (1.0, 2.0, math.pi / 2))
     (box,) = grid.boxes()
