@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import string
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import check_all
 from kraft.logs.guess import offers
 from kraft.logs.mapping import Mapping
-from kraft.logs.names import COMMAND, POSE, parse
+from kraft.logs.pairing import pair_files
 from kraft.logs.table import Table, read_heading
 from kraft.text import counted, nearest
 
@@ -185,7 +186,10 @@ def _name(path: Path, root: Path) -> str:
 def _shared_name(paths: Sequence[Path], root: Path) -> str:
     """Common prefix of the names of files: ``run1`` for ``run1_commands.csv`` and ``run1_poses.csv``."""
     names = [_name(path, root) for path in paths]
-    return os.path.commonprefix(names).rstrip("_-. /") or names[0]  # noqa: RUF071 - characters are meant
+    common = os.path.commonprefix(names)  # noqa: RUF071 - characters are meant
+    if any(name[len(common) :][:1].islower() for name in names):  # within a word: run1_p of run1_pwm and run1_poses
+        common = common.rstrip(string.ascii_letters)
+    return common.rstrip("_-. /") or names[0]
 
 
 def _named_apart(found: Sequence[Candidate]) -> list[Candidate]:
@@ -228,7 +232,7 @@ def group_files(files: Sequence[Path], controls: Sequence[str], mapping: Mapping
         has_commands, has_poses = _offers(path, controls, mapping)
         kind = commands if has_commands and not has_poses else poses if has_poses and not has_commands else whole
         kind.append(path)
-    pairs = _pairs(commands, poses)
+    pairs = pair_files(commands, poses)
     paired = {path for pair in pairs for path in pair}
     return [*pairs, *((path,) for path in files if path not in paired)]
 
@@ -250,18 +254,3 @@ def _offers(path: Path, controls: Sequence[str], mapping: Mapping) -> tuple[bool
         return False, False
     none = np.zeros(0)
     return offers(Table(str(path), "", dict.fromkeys(names, none), none.astype(np.int64)), controls, mapping)
-
-
-def _pairs(commands: Sequence[Path], poses: Sequence[Path]) -> list[tuple[Path, ...]]:
-    """Pair files whose names differ only in the words for commands and poses, or the only two there are."""
-    if len(commands) == len(poses) == 1:
-        return [(commands[0], poses[0])]
-    partners: dict[tuple[str, ...], tuple[list[Path], list[Path]]] = {}
-    for kind, paths in enumerate((commands, poses)):
-        for path in paths:
-            partners.setdefault(_key(path), ([], []))[kind].append(path)
-    return [(a[0], b[0]) for a, b in partners.values() if len(a) == len(b) == 1]
-
-
-def _key(path: Path) -> tuple[str, ...]:
-    return tuple(word for word in parse(path.stem).words if word not in COMMAND | POSE)

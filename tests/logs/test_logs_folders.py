@@ -12,6 +12,7 @@ from support.logs import Drive, drive, located, wide_columns, write_pair, write_
 from kraft.errors import Code, InputError
 from kraft.logs.discover import Candidate, without_repeated
 from kraft.logs.log import Log
+from kraft.logs.pairing import pair_files
 from kraft.logs.reader import read_logs
 
 MADE = drive()
@@ -146,3 +147,46 @@ def test_logs_without_the_columns_may_be_named_by_any_paths(tmp_path: Path, monk
     with pytest.raises(InputError) as error:
         read_logs([tmp_path / "a.csv", "b.csv"])
     assert {Path(d.file).name for d in error.value.diagnostics} == {"a.csv", "b.csv"}
+
+
+@pytest.mark.parametrize(
+    ("commands", "poses", "name"),
+    [
+        ("run_0{}_pwm", "run_0{}_mocap", "run_0{}"),
+        ("cmd_{}", "vicon_{}", "cmd_{}"),
+        ("run{}_pwm", "run{}_poses", "run{}"),
+        ("run_{}", "run_{}_mocap", "run_{}"),
+        ("drive_{}_kestrel", "drive_{}_magpie", "drive_{}"),
+        ("2024-05-0{}_esc", "2024-05-0{}_odom", "2024-05-0{}"),
+    ],
+)
+def test_files_pair_by_what_is_left_of_their_names_without_the_words_of_a_kind(
+    tmp_path: Path, commands: str, poses: str, name: str
+) -> None:
+    made = [drive(turn=turn) for turn in (1.0, -0.5, 0.7)]
+    for number, each in enumerate(made, 1):
+        write_pair(tmp_path, each, f"{commands.format(number)}.csv", f"{poses.format(number)}.csv")
+    found = read_logs(tmp_path)
+    assert not found.problems
+    assert [log.name for log in found.logs] == [name.format(number) for number in (1, 2, 3)]
+    for log, each in zip(found.logs, made, strict=True):
+        same_drive(log, each)
+
+
+@pytest.mark.parametrize(
+    ("commands", "poses", "pairs"),
+    [
+        (["a_1_pwm", "b_1_pwm"], ["a_1_mocap", "c_1_mocap"], ["a_1"]),  # b and c are of drives, not of kinds
+        (["run_1_pwm", "run_2_pwm"], ["run_3_mocap", "run_4_mocap"], []),
+        (["run_1_pwm", "run_2_pwm"], ["run_1_mocap", "run_1_vicon", "run_2_mocap"], ["run_2"]),
+        (["a_kestrel", "a_b_kestrel"], ["a_magpie", "a_b_magpie"], ["a", "a_b"]),
+        (["servo_cmd", "esc_cmd"], ["servo_pose", "esc_pose"], ["esc", "servo"]),  # as before usual words were known
+        (["lab_monday_1", "lab_monday_2"], ["tuesday_1", "tuesday_2"], []),  # two words differ
+    ],
+)
+def test_files_pair_only_if_no_other_may_be_meant(
+    tmp_path: Path, commands: list[str], poses: list[str], pairs: list[str]
+) -> None:
+    found = pair_files([tmp_path / name for name in commands], [tmp_path / name for name in poses])
+    assert sorted(path.name.rpartition("_")[0] for path, _ in found) == pairs
+    assert all(a.name.rpartition("_")[0] == b.name.rpartition("_")[0] for a, b in found)

@@ -369,3 +369,15 @@ def test_poses_that_are_too_rare_are_in_another_unit_unless_it_is_stated(
         read_logs(path, mapping=mapping_of(tmp_path, text) if text else None)
     (problem,) = error.value.diagnostics
     assert problem.expected.replace(", and the same for commands.time", "").endswith(said)
+
+
+def test_a_mapping_file_that_names_columns_tells_which_files_of_a_folder_have_commands(tmp_path: Path) -> None:
+    for number in (1, 2):
+        for kind, names in (("left", "abc"), ("right", "adef")):
+            columns = [ODD[name] for name in names]
+            write_table(tmp_path / "logs" / f"day_{number}_{kind}.csv", list(names), columns)
+    found = read_logs(tmp_path / "logs", mapping=mapping_of(tmp_path, MAPPING))
+    assert not found.problems
+    assert [log.name for log in found.logs] == ["day_1", "day_2"]
+    for log in found.logs:
+        same_as_wide(log)

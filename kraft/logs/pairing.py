@@ -1,0 +1,67 @@
+"""Pairs of CSV files in one folder, one with commands and one with poses, that form a log by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from pathlib import Path
+from typing import Final
+
+from kraft.logs.names import COMMAND, POSE, parse
+
+_FAMILY: Final = COMMAND | POSE
+_SOURCES: Final = {
+    *("pwm", "servo", "servos", "esc", "rc", "motor", "motors", "actuator", "actuators", "radio", "remote", "joy"),
+    *("joystick", "teleop", "throttle", "steering", "mocap", "qualisys", "apriltag", "camera", "cam", "tracking"),
+    *("tracked", "traj", "trajectory", "gps", "gnss", "slam", "lidar", "amcl", "localization", "localisation"),
+}
+"""Words for what commands or poses come from, which are usual in the names of files."""
+
+
+def pair_files(commands: Sequence[Path], poses: Sequence[Path]) -> list[tuple[Path, Path]]:
+    """Pair files with commands and files with poses that are of the same drive by their names.
+
+    The only two files form a pair.  Of several, two do whose names are the same without the words that tell commands
+    from poses, if no third file has that name too: first without all words for commands or poses, then without those
+    that only the files of one kind have (`run_01_pwm` and `run_01_mocap`).
+    """
+    if len(commands) == len(poses) == 1:
+        return [(commands[0], poses[0])]
+    pairs = _equal(commands, poses, lambda path: tuple(word for word in _words(path) if word not in _FAMILY))
+    paired = {path for pair in pairs for path in pair}
+    own = {
+        **dict.fromkeys(commands, _own_words(commands, poses)),
+        **dict.fromkeys(poses, _own_words(poses, commands)),
+    }
+    return pairs + _equal(
+        [path for path in commands if path not in paired],
+        [path for path in poses if path not in paired],
+        lambda path: tuple(word for word in _words(path) if word not in own[path]),
+    )
+
+
+def _equal(commands: Sequence[Path], poses: Sequence[Path], key: Callable[[Path], Hashable]) -> list[tuple[Path, Path]]:
+    """Pairs with the same key, which no third file has."""
+    found: dict[Hashable, tuple[list[Path], list[Path]]] = {}
+    for kind, paths in enumerate((commands, poses)):
+        for path in paths:
+            found.setdefault(key(path), ([], []))[kind].append(path)
+    return [(a[0], b[0]) for a, b in found.values() if len(a) == len(b) == 1]
+
+
+def _own_words(files: Sequence[Path], others: Sequence[Path]) -> set[str]:
+    """Words that tell files of one kind from the others.
+
+    They are in no name of the others.  Known words count wherever they are.  Without one, a word counts that all files
+    have, if it is the only such word: one that only some have, or a number, may be that of the drive.
+    """
+    words = [set(_words(path)) for path in files]
+    own = set().union(*words).difference(*(_words(path) for path in others))
+    known = own & (_FAMILY | _SOURCES)
+    if known or len(files) < 2:  # every word is in all names of a single file
+        return known
+    shared = {word for word in own.intersection(*words) if not word.isdigit()}
+    return shared if len(shared) == 1 else set()
+
+
+def _words(path: Path) -> tuple[str, ...]:
+    return parse(path.stem).words
