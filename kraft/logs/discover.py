@@ -18,7 +18,7 @@ from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import check_all
 from kraft.logs.guess import offers
 from kraft.logs.mapping import Mapping
-from kraft.logs.pairing import pair_files
+from kraft.logs.pairing import pair_files, unpaired
 from kraft.logs.table import Table, read_heading
 from kraft.text import counted, nearest
 
@@ -93,7 +93,7 @@ def discover(
         folder,
         _,
     ), files in loose.items():  # files of one folder may form a log; a file given twice does not pair with itself
-        found += _logs_of(files, folder, controls, mapping)
+        found += _logs_of(files, folder, controls, mapping, problems)
     found, repeated = without_repeated(found)
     return _named_apart(found), problems + repeated
 
@@ -159,7 +159,7 @@ def _scan(
         tables = ["steps.csv", "observations.csv", *({GUARD} & names)]
         return [Candidate(name, "run", tuple(folder / table for table in tables))]
     files = [path for path in entries if path.is_file() and path.suffix.lower() in (".csv", ".tsv", *BAGS)]
-    found = _logs_of(files, root, controls, mapping)
+    found = _logs_of(files, root, controls, mapping, problems)
     if len(found) == 1 and len(found[0].files) > 1:  # the only log of a folder has its name
         found = [Candidate(name, "csv", found[0].files)]
     for child in entries if depth < _DEPTH else ():
@@ -171,11 +171,16 @@ def _scan(
     return found
 
 
-def _logs_of(files: Sequence[Path], root: Path, controls: Sequence[str], mapping: Mapping) -> list[Candidate]:
+def _logs_of(
+    files: Sequence[Path], root: Path, controls: Sequence[str], mapping: Mapping, problems: list[Diagnostic]
+) -> list[Candidate]:
+    """Logs of files of one folder; that some do not pair is added to the problems."""
     bags = [path for path in files if path.suffix.lower() in BAGS]
     tables = [path for path in files if path not in bags and path.name != TRUTH]
     found = [Candidate(_name(path, root), "bag", (path,)) for path in bags]
-    found += [Candidate(_shared_name(paths, root), "csv", paths) for paths in group_files(tables, controls, mapping)]
+    groups, unread = group_files(tables, controls, mapping)
+    problems += unread
+    found += [Candidate(_shared_name(paths, root), "csv", paths) for paths in groups]
     return sorted(found, key=lambda candidate: candidate.name)
 
 
@@ -220,11 +225,16 @@ def without_repeated(found: Sequence[Candidate]) -> tuple[list[Candidate], list[
     return [found[i] for i in sorted(kept)], repeated
 
 
-def group_files(files: Sequence[Path], controls: Sequence[str], mapping: Mapping) -> list[tuple[Path, ...]]:
-    """Groups of files of one folder, each of which is a log; a file that is not recognised is a group of its own."""
+def group_files(
+    files: Sequence[Path], controls: Sequence[str], mapping: Mapping
+) -> tuple[list[tuple[Path, ...]], list[Diagnostic]]:
+    """Groups of files of one folder, each of which is a log, and the problem that files do not pair, if so.
+
+    A file that is not recognised is a group of its own.
+    """
     stated = _stated(files, mapping)
     if stated:
-        return [stated]
+        return [stated], []
     whole: list[Path] = []
     commands: list[Path] = []
     poses: list[Path] = []
@@ -233,8 +243,13 @@ def group_files(files: Sequence[Path], controls: Sequence[str], mapping: Mapping
         kind = commands if has_commands and not has_poses else poses if has_poses and not has_commands else whole
         kind.append(path)
     pairs = pair_files(commands, poses)
-    paired = {path for pair in pairs for path in pair}
-    return [*pairs, *((path,) for path in files if path not in paired)]
+    used = {path for pair in pairs for path in pair}
+    problems = []
+    left = [[path for path in kind if path not in used] for kind in (commands, poses)]
+    if all(left):
+        problems.append(unpaired(files[0].parent, *left))
+        used.update(*left)
+    return [*pairs, *((path,) for path in files if path not in used)], problems
 
 
 def _stated(files: Sequence[Path], mapping: Mapping) -> tuple[Path, ...]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
 from typing import Final
 
+from kraft.errors import Code, Diagnostic
 from kraft.logs.names import COMMAND, POSE, parse
 
 _FAMILY: Final = COMMAND | POSE
@@ -37,6 +38,15 @@ def pair_files(commands: Sequence[Path], poses: Sequence[Path]) -> list[tuple[Pa
         [path for path in poses if path not in paired],
         lambda path: tuple(word for word in _words(path) if word not in own[path]),
     )
+
+
+def unpaired(folder: Path, commands: Sequence[Path], poses: Sequence[Path]) -> Diagnostic:
+    """Problem of the files of a folder with commands alone and with poses alone that form no pairs."""
+    count = f"{len(commands)} file{' has' if len(commands) == 1 else 's have'} commands and {len(poses)} "
+    example = f"{commands[0].name}, {poses[0].name}"
+    problem = f"{count}{'has' if len(poses) == 1 else 'have'} poses, but their names do not pair ({example}, ...)"
+    expected = "expected names such as X_cmd.csv and X_pose.csv, X being the drive, or a folder for each drive"
+    return Diagnostic(str(folder), problem, expected, code=Code.MISSING)
 
 
 def _equal(commands: Sequence[Path], poses: Sequence[Path], key: Callable[[Path], Hashable]) -> list[tuple[Path, Path]]:

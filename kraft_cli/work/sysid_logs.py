@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from kraft.errors import Diagnostic, InputError, NegativeResult
+from kraft.errors import Code, Diagnostic, InputError, NegativeResult
 from kraft.logs.discover import discover
 from kraft.logs.log import Log, LogSet
 from kraft.logs.mapping import Mapping, load_mapping
@@ -92,8 +92,9 @@ def has_two_sides(paths: Sequence[Path], mapping_file: Path | None) -> bool:
 
 
 def _are_pairs(paths: Sequence[Path], controls: Sequence[str], mapping: Mapping) -> bool:
-    """Whether files with these commands and files with poses belong together by their headings."""
-    return any(len(candidate.files) > 1 for candidate in discover(paths, controls, mapping)[0])
+    """Whether there are files with these commands and files with poses by their headings, though names may not pair."""
+    candidates, problems = discover(paths, controls, mapping)
+    return any(len(each.files) > 1 for each in candidates) or any(each.code == Code.MISSING for each in problems)
 
 
 def _is_log_of(place: Path, controls: Sequence[str], mapping: Mapping) -> bool:

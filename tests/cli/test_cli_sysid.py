@@ -469,6 +469,19 @@ def test_a_table_of_poses_without_rows_is_named_for_a_robot_with_two_sides(
     assert last == "error: the only log cannot be used"
 
 
+def test_files_of_a_robot_with_two_sides_whose_names_do_not_pair_are_one_message(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "sides"
+    folder.mkdir()
+    for number in (1, 2):
+        (folder / f"a{number}_cmd.csv").write_text("t,left,right\n0,0.1,0.2\n1,0.2,0.1\n", encoding="utf-8")
+        (folder / f"b{number}_pose.csv").write_text("t,x,y,yaw\n0,0,0,0\n", encoding="utf-8")
+    assert main(["sysid", str(folder)]) == 2
+    (problem,) = said(capsys)
+    assert problem.startswith(f"{folder}: 2 files have commands and 2 have poses, but their names do not pair")
+
+
 @pytest.mark.parametrize(("other", "says"), [(0.02, False), (0.009, True)])
 def test_the_rule_of_a_choice_is_told_where_another_row_is_better(other: float, says: bool) -> None:
     rows = [ModelTrial("car", (), "", {1.0: other, 2.0: 0.05}, False), ModelTrial("b", (), "", {1.0: 0.01}, True)]

@@ -190,3 +190,14 @@ def test_files_pair_only_if_no_other_may_be_meant(
     found = pair_files([tmp_path / name for name in commands], [tmp_path / name for name in poses])
     assert sorted(path.name.rpartition("_")[0] for path, _ in found) == pairs
     assert all(a.name.rpartition("_")[0] == b.name.rpartition("_")[0] for a, b in found)
+
+
+def test_files_that_do_not_pair_are_one_problem_of_their_folder(tmp_path: Path) -> None:
+    for number in (1, 2, 3):
+        write_pair(tmp_path / "logs", MADE, f"a{number}_cmd.csv", f"b{number}_pose.csv")
+    assert problems_of(tmp_path / "logs") == ["logs missing"]
+    write_pair(tmp_path / "logs", MADE, "good_cmd.csv", "good_pose.csv")
+    found = read_logs(tmp_path / "logs")
+    assert [log.sources[0].file for log in found.logs] == [str(tmp_path / "logs" / "good_cmd.csv")]
+    (problem,) = found.problems
+    assert problem.problem.startswith("3 files have commands and 3 have poses, but their names do not pair")
