@@ -98,6 +98,7 @@ class Log:
         parts: in the order of time, at least one.
         findings: irregularities that reading and cleaning found.
         guess: assignment of columns and topics, as one line of text.
+        columns: the same without the names of CSV files: equal for logs with the same columns.
     """
 
     name: str
@@ -106,6 +107,7 @@ class Log:
     parts: tuple[Part, ...]
     findings: tuple[Finding, ...] = ()
     guess: str = ""
+    columns: str = ""
 
     @property
     def duration(self) -> float:

@@ -129,7 +129,7 @@ def _read(
     choice = on_one_clock(choose(tables, controls, mapping))
     choice = in_any_unit(choice) if any_unit else choice
     parts, findings = clean(choice, controls, mapping)
-    return Log(name, tuple(sources), tuple(controls), parts, findings, str(choice)), choice
+    return Log(name, tuple(sources), tuple(controls), parts, findings, str(choice), choice.columns), choice
 
 
 def _csv_files(files: Iterable[Path]) -> tuple[list[Source], list[Table]]:

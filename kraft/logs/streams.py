@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -126,7 +126,19 @@ class Choice:
 
     def __str__(self) -> str:
         one = len({id(stream.table) for _, stream in self.streams()}) == 1 and not self.poses.table.topic
-        parts = [f"{what}: {'' if one else stream.table.name + ': '}{stream}" for what, stream in self.streams()]
+        return self._text([] if one else [stream.table.name for _, stream in self.streams()])
+
+    @property
+    def columns(self) -> str:
+        """The text without the names of CSV files, which differ between logs whose columns are the same."""
+        tables = [(id(stream.table), stream.table.topic) for _, stream in self.streams()]
+        first = list(dict.fromkeys(tables))
+        return self._text([topic or f"file {first.index((key, topic)) + 1}" for key, topic in tables])
+
+    def _text(self, tables: Sequence[str]) -> str:
+        """Streams with the names of their tables, if these are given, and what is not used."""
+        names = [f"{name}: " for name in tables] or [""] * len(tuple(self.streams()))
+        parts = [f"{what}: {name}{stream}" for name, (what, stream) in zip(names, self.streams(), strict=True)]
         return "; ".join(parts) + (f"; not used: {', '.join(self.unused)}" if self.unused else "")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -19,6 +19,8 @@ from kraft.vehicles import CAR_CONTROLS
 MessageSink = Callable[[str], None]
 """Receives one message."""
 
+MANY: Final = 3
+"""Number of logs with the same problem from which it is reported once."""
 HARMLESS: Final = {
     "wrap": "yaw wraps; made continuous, nothing is left out",
     "dropout": "some poses are missing; nothing is left out",
@@ -61,14 +63,13 @@ def read_sysid_logs(
         candidates, _ = discover(paths, controls, mapping)
         if not candidates:
             raise
-        report_problems(error, warn)
+        _report_left_out(error.diagnostics, "", warn, detail)
         raise _none_usable(len(candidates), error.diagnostics) from None
     long = screen_logs(found.logs)
     _report_logs(long.logs, info, detail)
     for shortened in long.shortened:
         info(shortened)
-    for problem in (*found.problems, *long.problems):
-        warn(f"left out: {problem}")
+    _report_left_out((*found.problems, *long.problems), "left out: ", warn, detail)
     if not long.logs:
         raise _none_usable(len(discover(paths, controls, mapping)[0]), (*found.problems, *long.problems))
     return LogSet(long.logs, (*found.problems, *long.problems))
@@ -117,14 +118,37 @@ def report_problems(error: InputError, warn: MessageSink) -> None:
         warn(str(diagnostic))
 
 
+def _report_left_out(problems: Sequence[Diagnostic], begin: str, warn: MessageSink, detail: MessageSink) -> None:
+    """Report the problems of logs, those that many have once: `detail` receives the others."""
+    alike: dict[Hashable, list[Diagnostic]] = {}
+    for problem in problems:
+        alike.setdefault(_kind(problem), []).append(problem)
+    for first, *others in alike.values():
+        if len(others) + 1 < MANY:
+            for problem in (first, *others):
+                warn(f"{begin}{problem}")
+            continue
+        warn(f"{begin}{first}; the same in {len(others)} other logs (-v lists them)")
+        for problem in others:
+            detail(f"{begin}{problem}")
+
+
+def _kind(problem: Diagnostic) -> Hashable:
+    """What problems of several logs share: their words, or the place in the mapping file and what is expected there."""
+    at_a_key = problem.line is not None and problem.path
+    return problem.path, problem.code, problem.expected, problem.place if at_a_key else problem.problem
+
+
 def _report_logs(logs: Sequence[Log], info: MessageSink, detail: MessageSink) -> None:
     """Report the column assignments, once for logs that share them, and the findings; harmless ones as a sum."""
-    kinds: dict[str, list[str]] = {}
+    kinds: dict[str, list[Log]] = {}
     for log in logs:
-        kinds.setdefault(log.guess, []).append(log.name)
-    for guess, names in kinds.items():
-        whose = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
-        info(f"{whose}: {guess}")
+        kinds.setdefault(log.columns, []).append(log)
+    for first, *others in kinds.values():
+        info(f"{first.name}{f' and {len(others)} more' if others else ''}: {first.guess}")
+        for log in others:
+            if log.guess != first.guess:  # other names of files
+                detail(f"{log.name}: {log.guess}")
     found = [(log.name, finding) for log in logs for finding in log.findings]
     often = Counter(finding.kind for _, finding in found)
     for kind, what in HARMLESS.items():

@@ -64,6 +64,19 @@ def test_a_column_that_only_some_logs_lack_leaves_those_out(folder: Path, capsys
     assert "left out: m.yaml:1:33: commands.controls.throttle: " in err
 
 
+def test_the_columns_of_logs_that_differ_only_in_the_names_of_files_are_said_once(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for run in (folder / "logs").iterdir():
+        if run.is_dir():
+            for name in ("commands", "poses"):
+                (run / f"{name}.csv").rename(folder / f"{run.name}_{name}.csv")
+    given = sorted(map(str, folder.glob("run_*.csv")))
+    assert main(["sysid", *given, "--model", "mushr-lag", "--extras", "none"]) == 0
+    (line,) = [line for line in said(capsys) if "throttle from" in line]
+    assert line.startswith("run_01 and 7 more: commands: run_01_commands.csv: time from 't' (s)")
+
+
 def test_a_bad_log_is_left_out_and_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "logs" / "run_02" / "poses.csv").write_text("t,x,y,yaw\n0.0,1,2,0\n")
     assert main(["sysid", "logs", "--model", "mushr-lag", "--extras", "none", "--json"]) == 0
@@ -138,15 +151,30 @@ def test_a_held_out_log_that_is_too_short_beside_others_is_named(
     assert f"held-out logs too short to be predicted: {first}" in content["warnings"]
 
 
-def test_when_all_logs_are_bad_each_is_explained_and_it_ends_with_1(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("verbose", [False, True])
+def test_a_problem_that_all_logs_have_is_explained_once_and_it_ends_with_1(
+    verbose: bool, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for run in (folder / "logs").iterdir():
         (run / "poses.csv").write_text("t,x,y,yaw\n0.0,1,2,0\n")
-    assert main(["sysid", "logs", "--model", "mushr-lag", "--plot", "my.png"]) == 1
+    assert main(["sysid", "logs", "--model", "mushr-lag", "--plot", "my.png", *(["-v"] if verbose else [])]) == 1
     err = said(capsys)
     assert err[-1] == "error: none of the 8 logs can be used"
-    assert sum("poses.csv" in line for line in err) == 8
+    assert sum("poses.csv" in line for line in err) == (8 if verbose else 1)
+    (once,) = [line for line in err if line.endswith("; the same in 7 other logs (-v lists them)")]
+    assert once.startswith("logs/run_01/poses.csv")
+
+
+def test_a_column_of_the_mapping_file_that_many_logs_lack_is_said_once(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = folder / "logs" / "run_01" / "commands.csv"
+    first.write_text(first.read_text().replace("throttle", "gas", 1))
+    (folder / "m.yaml").write_text("commands: {controls: {throttle: gas}}\n")
+    main(["sysid", "logs", "--model", "mushr-lag", "--mapping", "m.yaml", "--extras", "none"])
+    left_out = [line for line in said(capsys) if line.startswith("left out: ")]
+    assert len(left_out) == 4  # of files with commands and of files with poses, of each the control and another column
+    assert sum(line.endswith("; the same in 6 other logs (-v lists them)") for line in left_out) == 2
 
 
 def test_what_only_the_estimator_refuses_leaves_a_picture_of_the_logs(
