@@ -143,6 +143,8 @@ def _print(terminal: Terminal, result: SysidResult) -> None:
     from kraft_cli.work import sysid_report as report
 
     models = result.identification.models
+    if models:
+        terminal.data(report.model_caption(result))
     for (heading, rows), below in (
         (report.model_table(models), report.choice_lines(models, report.BY_MODEL)),
         (report.parameter_table(result), []),
