@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from collections.abc import Callable
+from typing import Annotated, Any, Final
 
 import typer
 from typer.core import TyperCommand
@@ -71,16 +72,20 @@ class _Command(TyperCommand):
             raise
 
 
-app.command("plan", cls=_Command)(plan)
-app.command("run", cls=_Command)(run)
-app.command("eval", cls=_Command)(eval_)
-app.command("drive", cls=_Command)(drive)
-app.command("world", cls=_Command)(world)
-app.command("report", cls=_Command)(report)
-app.command("record", cls=_Command)(record)
-app.command("sysid", cls=_Command)(sysid)
-app.command("import", cls=_Command)(import_)
-app.command("generate", cls=_Command)(generate)
-app.command("validate", cls=_Command)(validate)
-app.command("list", cls=_Command)(list_)
-app.command("doctor", cls=_Command)(doctor)
+_COMMANDS: Final[dict[str, Callable[..., Any]]] = {
+    "plan": plan,
+    "run": run,
+    "eval": eval_,
+    "drive": drive,
+    "world": world,
+    "report": report,
+    "record": record,
+    "sysid": sysid,
+    "import": import_,
+    "generate": generate,
+    "validate": validate,
+    "list": list_,
+    "doctor": doctor,
+}
+for _name, _function in _COMMANDS.items():
+    app.command(_name, cls=_Command)(_function)

@@ -69,7 +69,7 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
     check_units(streams, poses, xyyaw, findings)
     poses, xyyaw = _without_zeros(poses, xyyaw, limits, findings)
     _check_number(poses, "without the zeros before the first pose, there are only")
-    reached = tracks(poses.times, xyyaw, limits.top_speed or top_speed(poses.times, xyyaw[:, :2])) != OUTLIER
+    reached = tracks(poses.times, xyyaw, _limit(poses, xyyaw, limits)) != OUTLIER
     streams = tuple(_sent(samples, poses.times[reached], xyyaw[reached], findings) for samples in streams)
     commands = merge_commands(streams, controls, limits)
     _check_overlap(commands, poses, choice)
@@ -91,6 +91,11 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
     parts = _cut(poses, xyyaw, commands, held, intervals, limits, findings)
     _check_motion(poses, parts, controls, limits)
     return parts, findings.as_tuple()
+
+
+def _limit(poses: Samples, xyyaw: Array, limits: Limits) -> float:
+    """Speed above which poses (n, 3) are teleports: the stated one, or by the usual speed of the log, m/s."""
+    return limits.top_speed or top_speed(poses.times, xyyaw[:, :2])
 
 
 def _read(choice: Choice, findings: Findings) -> tuple[tuple[Samples, ...], Samples, float]:
@@ -118,7 +123,7 @@ def _read(choice: Choice, findings: Findings) -> tuple[tuple[Samples, ...], Samp
 
 def _without_zeros(poses: Samples, xyyaw: Array, limits: Limits, findings: Findings) -> tuple[Samples, Array]:
     """Poses without the zeros that a recorder writes before the first one is measured."""
-    count = leading_zeros(poses.times, xyyaw, limits.top_speed or top_speed(poses.times, xyyaw[:, :2]))
+    count = leading_zeros(poses.times, xyyaw, _limit(poses, xyyaw, limits))
     add_zeros(poses, count, "pose", findings)
     kept = np.arange(len(poses)) >= count
     return (poses.keep(kept), xyyaw[kept]) if count else (poses, xyyaw)
@@ -194,7 +199,7 @@ def _cut(
     findings: Findings,
 ) -> tuple[Part, ...]:
     gap = pose_gap(poses.times, limits)
-    speed = limits.top_speed or top_speed(poses.times, xyyaw[:, :2])
+    speed = _limit(poses, xyyaw, limits)
     labels = tracks(poses.times, xyyaw, speed)
     add_pose_gaps(poses, gap, findings)
     add_teleports(poses, labels, speed, findings)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,13 +16,10 @@ from support.recorded import FOUR, IDENTIFY
 
 from kraft.recording import experiment
 from kraft.sysid import factor_graph as compilation
-from kraft.sysid.interface import ModelTrial
 from kraft.sysid.parameters import is_unknown_to_planning
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
 from kraft_cli.work import sysid as module
-from kraft_cli.work.sysid import SysidResult
-from kraft_cli.work.sysid_report import BY_MODEL, choice_lines, model_caption
 from kraft_cli.work.sysid_request import SysidRequest, checked
 
 KEYS = {"model", "params", "rmse_train_m", "rmse_holdout_m", "logs", "converged", "iterations", "wall_s", "warnings"}
@@ -482,26 +478,3 @@ def test_files_of_a_robot_with_two_sides_whose_names_do_not_pair_are_one_message
     assert main(["sysid", str(folder)]) == 2
     (problem,) = said(capsys)
     assert problem.startswith(f"{folder}: 2 files have commands and 2 have poses, but their names do not pair")
-
-
-@pytest.mark.parametrize(
-    ("fitted", "held_out", "expected"),
-    [
-        (3, 1, "mean of the 3 fitted logs, each predicted by a fit to the others; the held-out logs have no part in the choice"),
-        (3, 0, "mean of the 3 fitted logs, each predicted by a fit to the others"),
-        (1, 0, "mean of the fitted logs"),
-    ],
-)  # fmt: skip
-def test_the_caption_of_the_models_says_which_logs_they_are_judged_on(
-    fitted: int, held_out: int, expected: str
-) -> None:
-    split = SimpleNamespace(fitted=("log",) * fitted, held_out=("log",) * held_out)
-    identification = SimpleNamespace(without_log=({},) * fitted)
-    caption = model_caption(cast(SysidResult, SimpleNamespace(split=split, identification=identification)))
-    assert caption == f"models by the position error of open-loop predictions, {expected}"
-
-
-@pytest.mark.parametrize(("other", "says"), [(0.02, False), (0.009, True)])
-def test_the_rule_of_a_choice_is_told_where_another_row_is_better(other: float, says: bool) -> None:
-    rows = [ModelTrial("car", (), "", {1.0: other, 2.0: 0.05}, False), ModelTrial("b", (), "", {1.0: 0.01}, True)]
-    assert choice_lines(rows, BY_MODEL) == ([BY_MODEL] if says else [])

@@ -1,0 +1,35 @@
+"""What `kraft sysid` says about the models that it compared."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
+
+import pytest
+
+from kraft.sysid.interface import ModelTrial
+from kraft_cli.work.sysid import SysidResult
+from kraft_cli.work.sysid_report import BY_MODEL, choice_lines, model_caption
+
+
+@pytest.mark.parametrize(
+    ("fitted", "held_out", "expected"),
+    [
+        (3, 1, "mean of the 3 fitted logs, each predicted by a fit to the others; the held-out logs have no part in the choice"),
+        (3, 0, "mean of the 3 fitted logs, each predicted by a fit to the others"),
+        (1, 0, "mean of the fitted logs"),
+    ],
+)  # fmt: skip
+def test_the_caption_of_the_models_says_which_logs_they_are_judged_on(
+    fitted: int, held_out: int, expected: str
+) -> None:
+    split = SimpleNamespace(fitted=("log",) * fitted, held_out=("log",) * held_out)
+    identification = SimpleNamespace(without_log=({},) * fitted)
+    caption = model_caption(cast(SysidResult, SimpleNamespace(split=split, identification=identification)))
+    assert caption == f"models by the position error of open-loop predictions, {expected}"
+
+
+@pytest.mark.parametrize(("other", "says"), [(0.02, False), (0.009, True)])
+def test_the_rule_of_a_choice_is_told_where_another_row_is_better(other: float, says: bool) -> None:
+    rows = [ModelTrial("car", (), "", {1.0: other, 2.0: 0.05}, False), ModelTrial("b", (), "", {1.0: 0.01}, True)]
+    assert choice_lines(rows, BY_MODEL) == ([BY_MODEL] if says else [])
