@@ -18,7 +18,7 @@ from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import check_all
 from kraft.logs.guess import offers
 from kraft.logs.mapping import Mapping
-from kraft.logs.pairing import pair_files, unpaired
+from kraft.logs.pairing import pair_across_folders, pair_files, unpaired
 from kraft.logs.table import Table, read_heading
 from kraft.text import counted, nearest
 
@@ -136,7 +136,7 @@ def unreadable(path: Path, error: OSError) -> Diagnostic:
 def _nonempty(folder: Path, controls: Sequence[str], mapping: Mapping) -> tuple[list[Candidate], list[Diagnostic]]:
     """Logs of a folder, and the problems of its subfolders that cannot be read."""
     problems: list[Diagnostic] = []
-    found = _scan(folder, folder, controls, mapping, 0, problems)
+    found = _across_folders(_scan(folder, folder, controls, mapping, 0, problems), folder, controls, mapping)
     if not found and not problems:
         names = sorted(path.name for path in folder.iterdir())
         content = (
@@ -171,6 +171,21 @@ def _scan(
     return found
 
 
+def _across_folders(found: list[Candidate], root: Path, controls: Sequence[str], mapping: Mapping) -> list[Candidate]:
+    """The candidates, those of single files joined that are commands and poses of a drive in folders of their own."""
+    commands: list[Path] = []
+    poses: list[Path] = []
+    for candidate in found:
+        if candidate.kind == "csv" and len(candidate.files) == 1 and candidate.files[0].parent != root:
+            has_commands, has_poses = _offers(candidate.files[0], controls, mapping)
+            if has_commands != has_poses:
+                (commands if has_commands else poses).append(candidate.files[0])
+    pairs = pair_across_folders(commands, poses)
+    used = {path for pair in pairs for path in pair}
+    joined = [Candidate(_shared_name(pair, root), "csv", pair) for pair in pairs]
+    return [*(c for c in found if c.files[0] not in used), *joined]
+
+
 def _logs_of(
     files: Sequence[Path], root: Path, controls: Sequence[str], mapping: Mapping, problems: list[Diagnostic]
 ) -> list[Candidate]:
@@ -189,12 +204,18 @@ def _name(path: Path, root: Path) -> str:
 
 
 def _shared_name(paths: Sequence[Path], root: Path) -> str:
-    """Common prefix of the names of files: ``run1`` for ``run1_commands.csv`` and ``run1_poses.csv``."""
-    names = [_name(path, root) for path in paths]
-    common = os.path.commonprefix(names)  # noqa: RUF071 - characters are meant
-    if any(name[len(common) :][:1].islower() for name in names):  # within a word: run1_p of run1_pwm and run1_poses
+    """Common prefix of the names of files, by folder: ``run1`` for ``run1_commands.csv`` and ``run1_poses.csv``."""
+    names = [_name(path, root).split("/") for path in paths]
+    shared = "/".join(filter(None, map(_common_prefix, zip(*names, strict=False))))
+    return shared or "/".join(names[0])
+
+
+def _common_prefix(words: Sequence[str]) -> str:
+    """Common prefix of some names that ends with a word of each."""
+    common = os.path.commonprefix(list(words))  # noqa: RUF071 - characters are meant
+    if any(word[len(common) :][:1].islower() for word in words):  # within a word: run1_p of run1_pwm and run1_poses
         common = common.rstrip(string.ascii_letters)
-    return common.rstrip("_-. /") or names[0]
+    return common.rstrip("_-. ")
 
 
 def _named_apart(found: Sequence[Candidate]) -> list[Candidate]:

@@ -1,4 +1,4 @@
-"""Pairs of CSV files in one folder, one with commands and one with poses, that form a log by their names."""
+"""Pairs of CSV files, with commands and with poses, that form a log by their names or those of their folders."""
 
 from __future__ import annotations
 
@@ -38,6 +38,23 @@ def pair_files(commands: Sequence[Path], poses: Sequence[Path]) -> list[tuple[Pa
         [path for path in poses if path not in paired],
         lambda path: tuple(word for word in _words(path) if word not in own[path]),
     )
+
+
+def pair_across_folders(commands: Sequence[Path], poses: Sequence[Path]) -> list[tuple[Path, Path]]:
+    """Pair files with commands and files with poses in folders beside each other (`cmd/run_01`, `mocap/run_01`).
+
+    Two form a pair whose names, and those of their folders, are the same without the words for commands and poses and
+    for what they come from, if no third file has these names too.  The name of each folder must have such a word: files
+    of the same name in `run_1` and `run_2` are of different drives.
+    """
+    known = _FAMILY | _SOURCES
+
+    def drive(path: Path) -> Hashable:
+        return path.parent.parent, *(tuple(w for w in _words(each) if w not in known) for each in (path.parent, path))
+
+    said = [path for path in (*commands, *poses) if known.intersection(_words(path.parent))]
+    pairs = _equal([path for path in commands if path in said], [path for path in poses if path in said], drive)
+    return [pair for pair in pairs if pair[0].parent != pair[1].parent]
 
 
 def unpaired(folder: Path, commands: Sequence[Path], poses: Sequence[Path]) -> Diagnostic:

@@ -192,6 +192,30 @@ def test_files_pair_only_if_no_other_may_be_meant(
     assert all(a.name.rpartition("_")[0] == b.name.rpartition("_")[0] for a, b in found)
 
 
+@pytest.mark.parametrize(
+    ("commands", "poses", "name"),
+    [
+        ("cmd/run_01.csv", "mocap/run_01.csv", "run_01"),
+        ("day/commands/a_cmd.csv", "day/poses/a.csv", "day/a"),
+        ("a_cmd/log.csv", "a_vicon/log.csv", "a/log"),
+    ],
+)
+def test_files_pair_across_folders_that_are_named_by_what_they_hold(
+    tmp_path: Path, commands: str, poses: str, name: str
+) -> None:
+    root = tmp_path / "logs"
+    write_pair(root, MADE, commands, poses)
+    (log,) = read_logs(root).logs
+    assert log.name == name
+    same_drive(log, MADE)
+
+
+def test_files_of_folders_that_are_named_by_drives_do_not_pair(tmp_path: Path) -> None:
+    write_pair(tmp_path, MADE, "run_1/log.csv", "run_2/log.csv")  # the poses of one, the commands of the other are lost
+    with pytest.raises(InputError):
+        read_logs(tmp_path)
+
+
 def test_files_that_do_not_pair_are_one_problem_of_their_folder(tmp_path: Path) -> None:
     for number in (1, 2, 3):
         write_pair(tmp_path / "logs", MADE, f"a{number}_cmd.csv", f"b{number}_pose.csv")
