@@ -23,9 +23,9 @@ const columns = [
   { name: "method", of: (trial) => trial.method.title },
   { name: "seed", of: (trial) => trial.seed, number: true },
   { name: "outcome", of: (trial) => trial.outcome, cell: (trial) => [make("i", { class: `swatch ${trial.outcome}` }), ` ${trial.text}`] },
-  { name: "time, s", of: (trial) => trial.time, number: true, digits: 2 },
-  { name: "clearance, m", of: (trial) => trial.clearance, number: true, digits: 3 },
-  { name: "contingencies", of: (trial) => trial.contingencies, number: true },
+  { name: "time, s", short: "time", of: (trial) => trial.time, number: true, digits: 2 },
+  { name: "clearance, m", short: "clear", of: (trial) => trial.clearance, number: true, digits: 3 },
+  { name: "contingencies", short: "cont", of: (trial) => trial.contingencies, number: true },
   { name: "cause", of: (trial) => trial.cause, cell: (trial) => [trial.cause ?? "", make("small", {}, trial.why ?? "")] },
 ];
 const filters = ["outcome", "method", "cause", "entry"];
@@ -58,7 +58,7 @@ function showList() {
       const value = column.of(trial);
       const text = column.digits === undefined || value === null ? value ?? "–" : value.toFixed(column.digits);
       const content = column.cell ? column.cell(trial) : [String(text)];
-      return make("td", column.number ? { class: "number", "data-label": column.name } : {}, ...content);
+      return make("td", column.number ? { class: "number", "data-label": column.short ?? column.name } : {}, ...content);
     });
     cells[0].replaceChildren(make("a", { href: `#trial=${key(trial)}` }, trial.entry.name));
     return make("tr", {}, ...cells);
