@@ -186,10 +186,10 @@ class CallbackSearch:
         add_root(self._tree, self._work)
 
     def retain(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
-        """Add the edges of an earlier plan or tree that are valid and safe from the root; returns their number."""
+        """Add the edges of an earlier plan or tree that are valid, safe and within the bounds; returns their number."""
         before = int(self._tree.count[at.SIZE])
         self._reserve(len(parents))
-        self._run(edges_to_retain(parents, controls, durations), 0, _never)
+        self._run(edges_to_retain(parents, controls, durations, bounds=self._control.bounds), 0, _never)
         return int(self._tree.count[at.SIZE]) - before
 
     def grow(self, stop: Callable[[], bool]) -> None:

@@ -94,7 +94,7 @@ class CompiledSearch:
         return self.dirt.unreachable
 
     def retain(self, parents: list[int], controls: Matrix, durations: Floats) -> int:
-        """Add the edges of an earlier plan or tree that are free and safe; returns their number."""
+        """Add the edges of an earlier plan or tree that are free, safe and within the bounds; returns their number."""
         return self.dirt.retain_edges(parents, controls, durations)
 
     def grow(self, stop: Callable[[], bool]) -> None:

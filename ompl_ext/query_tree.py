@@ -143,7 +143,8 @@ class QueryTree(EdgeChecker):
     def retain(self, plan: Plan, elapsed: float = 0.0) -> int:
         """Add the remainder of an earlier plan after `elapsed` s, from the new root; returns the number of edges added.
 
-        The edge in progress is kept in part.  An edge that collides or is not safe is omitted, with all after it.
+        The edge in progress is kept in part.  An edge that collides, is not safe, or has a control beyond the vehicle's
+        bounds is omitted, with all after it.
         """
         return self.retain_edges(*remaining_edges(plan.controls, plan.durations, elapsed))
 
@@ -158,14 +159,15 @@ class QueryTree(EdgeChecker):
     ) -> int:
         """Add edges of an earlier tree, parents before children, -1 for the root; returns the number added.
 
-        The first n edges are corrected to end at `targets` (n, Q_DIM), if there are any.  If they are `continued`, the
-        first ones are those of the last call, which are not added again.
+        An edge that cannot be added (see `retain`) is omitted, with all that begin where it ends.  The first n edges
+        are corrected to end at `targets` (n, Q_DIM), if there are any.  If they are `continued`, the first ones are
+        those of the last call, which are not added again.
         """
         before = int(self._tree.count[at.RETAINED])
         began = time.perf_counter()
         for each in self._trees:
             known = each.retained.node if continued else None
-            each.retained = edges_to_retain(parents, controls, durations, targets, known)
+            each.retained = edges_to_retain(parents, controls, durations, targets, known, self._problem.controls)
             each.add(self._problem, each.retained)
         self._update_progress(self._progress.seconds + time.perf_counter() - began)
         return int(self._tree.count[at.RETAINED]) - before

@@ -13,6 +13,8 @@ from ompl_ext.kernels.kernel_types import Q_DIM, WAITING, Retained, Tree
 from ompl_ext.kernels.tree_memory import add_descendants, keep_with_ancestors, path_along
 from ompl_ext.plan import Plan
 
+ROUNDING = 1e-9  # share of a control's range by which rounding may carry it beyond a bound
+
 
 @dataclass(frozen=True)
 class RetainableEdges:
@@ -94,16 +96,30 @@ def edges_to_retain(
     durations: Floats,
     targets: Matrix | None = None,
     known: Ints | None = None,
+    bounds: Floats | None = None,
 ) -> Retained:
     """Initial edges for the kernel `grow`; `controls` has shape (edges, nu), `durations` (edges,).
 
     The first n edges are corrected to end at `targets` (n, Q_DIM), configurations in the tree's metric.  The first m
-    edges may have been added before: `known` (m,) are their nodes.
+    edges may have been added before: `known` (m,) are their nodes.  Edges with a control beyond its `bounds` (nu, 2),
+    if these are given, are not added: the earlier plan was that of a vehicle, or had limits, that are no longer there.
     """
     edge = np.empty((len(durations), np.shape(controls)[1] + 1))
     edge[:, :-1], edge[:, -1] = controls, durations
     target = np.zeros((0, Q_DIM)) if targets is None else np.ascontiguousarray(targets, dtype=float)
     node = np.full(len(parent), WAITING)
+    if bounds is not None:
+        node[are_beyond(edge[:, :-1], bounds)] = -1
     if known is not None:
         node[: len(known)] = known
     return Retained(np.array(parent, np.int64), edge, target, node)
+
+
+def are_beyond(controls: Matrix, bounds: Floats) -> Bools:
+    """Whether each of the controls (n, nu) is beyond its bounds (nu, 2) by more than rounding, or is not a number."""
+    if not len(controls):
+        return np.zeros(0, bool)
+    low, high = bounds.T
+    allowed = ROUNDING * (high - low)
+    beyond: Bools = ~((controls >= low - allowed) & (controls <= high + allowed)).all(axis=1)
+    return beyond

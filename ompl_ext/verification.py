@@ -13,6 +13,7 @@ from ompl_ext.exact import SPREAD
 from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.plan import Plan
 from ompl_ext.poses import poses_of
+from ompl_ext.retainment import are_beyond
 from ompl_ext.solver import DirtSolver
 
 TOLERANCE = 1e-6  # tolerance of FCL's distances (m)
@@ -31,6 +32,8 @@ class Requirement(StrEnum):
     """a contingency, if SAFETY is enabled"""
     STANDSTILL = "standstill"
     """the contingency ends at standstill"""
+    CONTROL = "control"
+    """controls within their bounds"""
     CONSISTENCY = "consistency"
     """the trajectory ends in the last state"""
 
@@ -61,8 +64,8 @@ class Verification:
 def verify(dirt: DirtSolver, plan: Plan) -> Verification:
     """Check a plan with FCL: no collision at any time, delta(v) kept within the cycle and by the contingency.
 
-    A broad phase, which does not use the clearance field, decides where FCL need not be asked; verdict and clearances
-    are those of FCL at every sample.
+    Its controls have to be within their bounds, too.  A broad phase, which does not use the clearance field, decides
+    where FCL need not be asked; verdict and clearances are those of FCL at every sample.
     """
     problems, clearances = _examined(dirt, plan)
     least = [-math.inf if each is None else each.least()[0] for each in clearances]
@@ -84,6 +87,7 @@ def _examined(dirt: DirtSolver, plan: Plan) -> tuple[list[Violation], list[_Clea
     problems += _clearance_violations(dirt, "plan", plan.times, plan.trajectory, clearance, _within_cycle(dirt, plan))
     problems += _collisions_at_samples("plan", plan.times, clearance)
     problems += _collisions_between_samples(dirt, plan, clearance)
+    problems += _control_violations(dirt, plan)
     if np.any(np.abs(plan.states[-1] - plan.trajectory[-1]) > 1e-6):
         text = "plan: the trajectory does not end in the last state"
         problems.append(Violation(Requirement.CONSISTENCY, text))
@@ -106,6 +110,18 @@ def _examined(dirt: DirtSolver, plan: Plan) -> tuple[list[Violation], list[_Clea
     if not dirt.safety.is_resting(dirt.vehicle, stop.states[-1]):
         problems.append(Violation(Requirement.STANDSTILL, "contingency: does not end at standstill"))
     return problems, [clearance, stopping]
+
+
+def _control_violations(dirt: DirtSolver, plan: Plan) -> list[Violation]:
+    """Violation of the first edge with a control beyond its bounds, if there is one."""
+    edges = np.flatnonzero(are_beyond(plan.controls, dirt.vehicle.control_bounds))
+    if not len(edges):
+        return []
+    held = ", ".join(
+        f"{name} {value:g}" for name, value in zip(dirt.vehicle.controls, plan.controls[edges[0]], strict=True)
+    )
+    text = f"plan: {held} is beyond the bounds at t = {plan.durations[: edges[0]].sum():.3f} s"
+    return [Violation(Requirement.CONTROL, text)]
 
 
 def _not_finite(what: str) -> Violation:

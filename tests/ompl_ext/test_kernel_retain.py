@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from ompl_ext.kernels.tree_memory import path_along, path_to
 from ompl_ext.plan import Plan
 from ompl_ext.query import Safety
 from ompl_ext.solver import DirtSolver
+from ompl_ext.verification import Requirement, verify
 
 
 def test_retaining_more_than_memory_holds_stops_cleanly() -> None:
@@ -106,6 +108,28 @@ def test_from_a_displaced_root_only_free_and_safe_edges_are_retained() -> None:
         if again is not None:
             check_plan(dirt, again)
     assert dropped > 0
+
+
+def test_an_edge_with_a_control_beyond_the_bounds_is_dropped_with_all_after_it() -> None:
+    dirt = turns()
+    plan = planned(dirt, 1000)
+    weak = DirtSolver(replace(BENCHMARK, controls={**BENCHMARK.controls, "throttle": (0.0, 0.9)}), TURNS, GOAL)
+    first = int(np.argmax(plan.controls[:, 0] > 0.9))
+    assert plan.controls[first, 0] > 0.9
+    weak.start(START, 1)
+    weak.retain(plan)
+    assert (weak.retained_nodes[:first] >= 0).all()
+    assert (weak.retained_nodes[first:] == -1).all()
+    assert weak.tree().controls[:, 0].max() <= 0.9
+
+
+def test_verification_finds_a_control_beyond_the_bounds() -> None:
+    dirt = turns()
+    plan = planned(dirt, 1000)
+    weak = DirtSolver(replace(BENCHMARK, controls={**BENCHMARK.controls, "throttle": (0.0, 0.9)}), TURNS, GOAL)
+    assert Requirement.CONTROL not in {problem.requirement for problem in verify(dirt, plan).problems}
+    (found,) = [problem for problem in verify(weak, plan).problems if problem.requirement is Requirement.CONTROL]
+    assert "throttle" in found.text
 
 
 def test_retaining_nothing_adds_nothing() -> None:

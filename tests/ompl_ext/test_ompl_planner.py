@@ -148,6 +148,18 @@ def test_a_path_can_be_retained_from_a_later_state(callbacks: bool) -> None:
     assert setup.getSolutionPath().length() == pytest.approx(path.length() - elapsed)
 
 
+@pytest.mark.parametrize("callbacks", [False, True])
+def test_an_edge_of_a_path_with_a_control_beyond_the_bounds_is_not_retained(callbacks: bool) -> None:
+    setup = arena()
+    planner = solved(setup, use_callbacks=callbacks)
+    path = oc.PathControl(setup.getSolutionPath())
+    path.getControl(1)[0] = 2.0 * BENCHMARK.controls["throttle"][1]
+    setup.clear()
+    planner.retain(path)
+    planner.solve(ob.plannerAlwaysTerminatingCondition())
+    assert len(planner.tree().parents) == 2  # the root and the first edge
+
+
 def test_a_tree_can_be_retained_from_a_moved_root() -> None:
     setup = arena()
     planner = planned(setup, 500)
