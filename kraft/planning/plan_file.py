@@ -244,6 +244,25 @@ class PlannedScenario(StrictModel):
     """hash of the input of the planner"""
 
 
+class PlannedVehicle(StrictModel):
+    """Vehicle that the plan is for."""
+
+    name: object = None
+    """its name"""
+    reference: object = None
+    """how it was named"""
+    state: tuple[str, ...] | None = None
+    """names of the components of its state"""
+    controls: Mapping[str, object] | None = None
+    """names of its controls, with their bounds"""
+    parameters: object = None
+    """values of its parameters"""
+    footprint: object = None
+    """{length, width, offset}, m"""
+    top_speed: object = None
+    """its top speed, m/s"""
+
+
 class PlannedGoal(StrictModel):
     """Goal region that the plan is for."""
 
@@ -281,8 +300,8 @@ class PlanFile(StrictModel):
     """kind and version of the file"""
     scenario: PlannedScenario = PlannedScenario()
     """scenario {name, reference, sha256}"""
-    vehicle: object = None
-    """the vehicle with its parameters"""
+    vehicle: PlannedVehicle = PlannedVehicle()
+    """the vehicle {name, reference, state, controls, parameters, footprint, top_speed}"""
     planner: object = None
     """name of the planner"""
     seed: object = None
@@ -347,6 +366,12 @@ class PlanFile(StrictModel):
             self.goal.reached,
             self._contingency(),
         )
+
+    @property
+    def names(self) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
+        """Names of the components of the state and of the controls; None if the file lacks either."""
+        state, controls = self.vehicle.state, self.vehicle.controls
+        return None if state is None or controls is None else (state, tuple(controls))
 
     def _contingency(self) -> Contingency | None:
         stop = self.contingency

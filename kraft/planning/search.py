@@ -21,12 +21,14 @@ from ompl_ext.vehicle import Vehicle
 class Previous:
     """Earlier plan: planning starts in the state that it predicts after `elapsed` s, and retains its remaining edges.
 
-    `origin` is the file of the plan, for messages and for the plan file.
+    `origin` is the file of the plan, for messages and for the plan file.  `names` are those of the components of the
+    state and of the controls of the plan's vehicle, if they are known.
     """
 
     plan: Plan
     elapsed: float = 0.0
     origin: str = "<built in code>"
+    names: tuple[tuple[str, ...], tuple[str, ...]] | None = None
 
     @property
     def state(self) -> Floats:
@@ -52,6 +54,12 @@ class Previous:
         if sizes != required:
             problem = f"the plan has {sizes[0]} state components and {sizes[1]} controls"
             expected = f"expected a plan of {vehicle.name}, which has {required[0]} and {required[1]}"
+            raise InputError.of(self.origin, problem, expected, Code.MISMATCH)
+        own = vehicle.state, tuple(vehicle.controls)
+        if self.names is not None and self.names != own:
+            (state, controls), (own_state, own_controls) = (map(", ".join, names) for names in (self.names, own))
+            problem = f"the plan is of a vehicle with the state {state} and the controls {controls}"
+            expected = f"expected a plan of {vehicle.name}, with {own_state} and {own_controls}"
             raise InputError.of(self.origin, problem, expected, Code.MISMATCH)
         if not 0.0 <= self.elapsed < plan.cost:
             problem = f"the plan is over after {plan.cost:.6g} s, before {self.elapsed:.6g} s"
@@ -129,7 +137,7 @@ def _ompl_search(name: str) -> Search:
 
         if previous is not None:
             problem = f"is {name!r}, which cannot keep an earlier plan"
-            raise InputError.of_argument("planner", problem, "expected 'dirt'", Code.CONFLICT)
+            raise InputError.of_argument("planner", problem, "expected 'dirt' or 'sst'", Code.CONFLICT)
         assert dirt.goal is not None, "a task has a goal"
         result = plan_with_ompl(
             name, dirt.vehicle, dirt.workspace, state, dirt.goal, safety=dirt.safety, settings=dirt.settings,

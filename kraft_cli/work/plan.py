@@ -227,7 +227,7 @@ def _previous(request: PlanRequest, task: Task | None, report: Callable[[str], N
     scenario = content.scenario.name
     if task is not None and scenario != task.name:
         report(f"note: {request.previous} is a plan of {scenario or 'a scenario without a name'}, not of {task.name}")
-    return Previous(content.plan(), request.after, str(request.previous))
+    return Previous(content.plan(), request.after, str(request.previous), content.names)
 
 
 def _draw(path: Path, task: Task, vehicle: Vehicle, result: PlanResult) -> None:

@@ -15,7 +15,7 @@ from support.diagnostics import located, raised
 
 from kraft.errors import InputError
 from kraft.planning.plan import PlanResult, plan_task
-from kraft.planning.plan_file import Origin, plan_text, read_plan, task_hash, write_plan
+from kraft.planning.plan_file import Origin, plan_text, read_plan, read_plan_file, task_hash, write_plan
 from kraft.planning.search import Budget, Previous
 from kraft.scenario import Task, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
@@ -59,6 +59,13 @@ def test_what_is_written_is_read_back_to_the_last_bit(
     assert read.contingency.slack == plan.contingency.slack
     assert np.array_equal(read.contingency.states, plan.contingency.states)
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["plan.json"]
+
+
+def test_it_names_the_state_and_the_controls_of_its_vehicle(tmp_path: Path, text: str, mushr: Vehicle) -> None:
+    (tmp_path / "plan.json").write_text(text)
+    assert read_plan_file(tmp_path / "plan.json").names == (mushr.state, tuple(mushr.controls))
+    (tmp_path / "plan.json").write_text(changed(text, vehicle={}))
+    assert read_plan_file(tmp_path / "plan.json").names is None
 
 
 def test_a_plan_that_begins_in_the_goal_is_written_and_read(tmp_path: Path, task: Task, mushr: Vehicle) -> None:

@@ -166,6 +166,16 @@ def test_a_plan_of_another_vehicle_is_refused(solved: PlanResult) -> None:
     assert "unicycle2" in problem.expected
 
 
+def test_a_plan_of_a_vehicle_with_other_controls_is_refused(solved: PlanResult, mushr: Vehicle) -> None:
+    assert solved.plan is not None
+    previous = Previous(solved.plan, 0.0, "p.json", (mushr.state, ("left", "right")))
+    (problem,) = raised(lambda: plan_task(room(), mushr, FEW, previous=previous))
+    assert (problem.file, problem.code) == ("p.json", Code.MISMATCH)
+    assert "the controls left, right" in problem.problem
+    own = dataclasses.replace(previous, names=(mushr.state, tuple(mushr.controls)))
+    assert plan_task(room(), mushr, FEW, previous=own).solved
+
+
 @pytest.mark.parametrize(
     ("old", "new", "expected", "named"),
     [
