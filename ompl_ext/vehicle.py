@@ -128,7 +128,7 @@ class Vehicle:
     """file that its numbers were read from, for messages; empty for a vehicle in code alone"""
 
     def __post_init__(self) -> None:
-        problems = [*_shape_problems(self), *_number_problems(self), *_range_problems(self)]
+        problems = [*_shape_problems(self), *_repetitions(self), *_number_problems(self), *_range_problems(self)]
         if problems:
             raise ValueError(f"vehicle {self.name!r}: " + "; ".join(problems))
 
@@ -200,8 +200,6 @@ def _shape_problems(vehicle: Vehicle) -> list[str]:
     problems = []
     if not {"x", "y"} <= set(vehicle.state):
         problems.append(f"state needs components named x and y (and theta if it turns), got {vehicle.state}")
-    if len(set(vehicle.state)) != len(vehicle.state):
-        problems.append(f"state names a component twice: {vehicle.state}")
     for name, (low, high) in vehicle.controls.items():
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             problems.append(f"control {name} needs finite bounds with low < high, got ({low}, {high})")
@@ -221,6 +219,18 @@ def _shape_problems(vehicle: Vehicle) -> list[str]:
     if vehicle.stop is None and len(vehicle.manoeuvres) > 1:
         problems.append("several manoeuvres need a stop(x, p, k) function")
     return problems
+
+
+def _repetitions(vehicle: Vehicle) -> Iterator[str]:
+    """Names that stand for two things: a contingency, above all, is known by the name of its manoeuvre."""
+    for kind, what, names in (
+        ("state", "a component", vehicle.state),
+        ("rest", "a component", vehicle.rest),
+        ("inputs", "an input", vehicle.inputs),
+        ("manoeuvres", "a manoeuvre", vehicle.manoeuvres),
+    ):
+        if len(set(names)) != len(names):
+            yield f"{kind} names {what} twice: {names}"
 
 
 def _number_problems(vehicle: Vehicle) -> Iterator[str]:

@@ -415,6 +415,11 @@ def test_settings_that_the_lanes_cannot_hold_are_refused(settings: dict[str, flo
         Settings(**settings)  # type: ignore[arg-type]
 
 
+def test_manoeuvres_of_one_name_are_refused_since_a_contingency_is_known_by_it() -> None:
+    with pytest.raises(ValueError, match="manoeuvres names a manoeuvre twice"):
+        replace(BENCHMARK, manoeuvres=("brake",) * len(BENCHMARK.manoeuvres))
+
+
 def test_more_manoeuvres_than_lanes_are_refused() -> None:
     with pytest.raises(ValueError, match="manoeuvres"):
         replace(BENCHMARK, manoeuvres=tuple(f"brake-{k}" for k in range(33)))

@@ -119,6 +119,7 @@ def test_a_wrong_reference_is_explained(reference: str, expected: tuple[Code, st
         (RETURN, "(" + RETURN, "does not import: SyntaxError: '(' was never closed ({file}, line 6)"),
         ("Footprint(0.4, 0.3)", "Footprint(0.0, 0.3)", "does not import: ValueError: footprint sizes must be positive and finite, got Footprint(length=0.0, width=0.3, offset=0.0) at {path}:13"),
         ('"theta", "v")', '"theta")', "does not import: ValueError: vehicle 'car': rest names 'v', which is not a state component at {path}:8"),
+        ("top_speed=1.0", "top_speed=1.0, rest=('v', 'v')", "does not import: ValueError: vehicle 'car': rest names a component twice: ('v', 'v') at {path}:8"),
         ("top_speed=1.0", "top_speed=-1.0", "does not import: ValueError: vehicle 'car': top_speed must be positive and finite, got -1.0 at {path}:8"),
         ("from ompl_ext.trig", "raise SystemExit(3)\nfrom ompl_ext.trig", "does not import: SystemExit: 3 at {path}:1"),
     ],
