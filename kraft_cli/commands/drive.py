@@ -8,12 +8,20 @@ from typing import Annotated
 import typer
 
 from kraft_cli.commands.options import Json, PlanningModel, ScenarioName, Set
-from kraft_cli.commands.run import Seed, Video, View, driven_status
+from kraft_cli.commands.run import Video, View, driven_status
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
 RobotName = Annotated[str, typer.Option("--robot", metavar="NAME|FILE", help="The robot (kraft list robots).")]
 Method = Annotated[str, typer.Option(metavar="NAME|FILE", help="Method with a contingency on board.")]
+PlannerSeed = Annotated[int, typer.Option(metavar="N", help="Seed of the planner; the drive depends on the clock too.")]
+WorldSeed = Annotated[int, typer.Option(metavar="N", help="Seed of the camera's errors and of the motion's noise.")]
+SimulatedVehicle = Annotated[
+    str | None,
+    typer.Option(
+        "--vehicle", metavar="NAME|FILE", help="Vehicle whose true robot is simulated, instead of the scenario's."
+    ),
+]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write the drive into a new folder, as it is driven.")]
 Bag = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the drive as ROS 2 messages: FILE.mcap.")]
 Speed = Annotated[float, typer.Option(metavar="X", help="Seconds of the simulation in a second of the clock.")]
@@ -25,7 +33,7 @@ def drive(
     robot: RobotName,
     method: Method = "adaptive-kraft",
     vehicle: PlanningModel = None,
-    seed: Seed = 0,
+    seed: PlannerSeed = 0,
     set_: Set = None,
     out: Out = None,
     bag: Bag = None,
@@ -52,8 +60,8 @@ def world(
     context: typer.Context,
     scenario: ScenarioName,
     robot: RobotName,
-    vehicle: PlanningModel = None,
-    seed: Seed = 0,
+    vehicle: SimulatedVehicle = None,
+    seed: WorldSeed = 0,
     set_: Set = None,
     speed: Speed = 1.0,
     video: Video = None,

@@ -10,7 +10,10 @@ from kraft_cli.terminal import Terminal
 
 ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A bundled name or the path of a file.")]
 PlanningModel = Annotated[
-    str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Model to plan with, instead of the scenario's.")
+    str | None,
+    typer.Option(
+        "--vehicle", metavar="NAME|FILE", help="Model to plan with, instead of the method's and the scenario's."
+    ),
 ]
 Set = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace the value of a key of the scenario.")

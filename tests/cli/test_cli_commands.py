@@ -296,3 +296,13 @@ def test_a_simulator_that_does_not_load_is_a_missing_dependency() -> None:
     assert (done.returncode, done.stdout) == (3, "")
     assert done.stderr.splitlines()[-1].startswith("error: ")
     assert "MUJOCO_GL" in done.stderr
+
+
+@pytest.mark.parametrize("command", ["drive", "world"])
+def test_a_seed_is_not_said_to_repeat_what_depends_on_the_clock(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command, "--help"]) == 0
+    text = " ".join(re.sub("[│╭╰─]", " ", capsys.readouterr().out).split())
+    assert "the same trial" not in text
+    assert ("Model to plan with" in text) == (command == "drive")  # the world does not plan
