@@ -42,10 +42,6 @@ class Safety(StrictModel):
     horizon: Duration = 10.0
     """time within which a contingency manoeuvre must have stopped the vehicle, s"""
 
-    def clearance(self, speed: float) -> float:
-        """Clearance in m that a state of this ``speed`` in m/s must keep."""
-        return self.delta + self.delta_per_speed * abs(speed)
-
 
 class Planning(StrictModel):
     """Settings of the planner; all of them have defaults."""
@@ -53,7 +49,7 @@ class Planning(StrictModel):
     planner: Literal["dirt", "sst", "rrt", "est", "kpiece1"] = "dirt"
     """name of the planner"""
     cycle: Duration = 1.0
-    """time between two plans while driving, s"""
+    """time after which a plan of `kraft plan` needs a contingency, s; a drive has the cycle of its method"""
     iterations: Count | None = None
     """planning budget in iterations, repeatable; 20000 unless `time` is given"""
     time: Duration | None = None

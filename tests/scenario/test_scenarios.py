@@ -28,7 +28,7 @@ from kraft.scenario import (
     load_scenario,
     parse_scenario,
 )
-from kraft.scenario.planning import DEFAULT_ITERATIONS, Planning, Safety
+from kraft.scenario.planning import DEFAULT_ITERATIONS, Planning
 from kraft.scenario.schema import CAMERA_HEIGHT
 from kraft_cli.work import json_schema
 
@@ -218,11 +218,6 @@ def test_a_budget_that_is_none_is_refused_by_its_argument(budget: dict[str, Any]
     (problem,) = raised(lambda: Planning().with_budget(**budget))
     assert (problem.file, problem.code) == expected
     assert problem.argument
-
-
-def test_the_margin_grows_with_speed_in_either_direction() -> None:
-    safety = Safety(delta=0.05, delta_per_speed=0.25)
-    assert safety.clearance(0.4) == safety.clearance(-0.4) == pytest.approx(0.15)
 
 
 def test_a_task_has_no_truth() -> None:
