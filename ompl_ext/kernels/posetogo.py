@@ -98,10 +98,7 @@ def pose_cost_to_go(
         tight_discs: of the footprint, for the search around the goal.
     """
     area = (bounds[0][1] - bounds[0][0]) * (bounds[1][1] - bounds[1][0])
-    curvature = np.abs(twists[:, 2]).max() / np.hypot(twists[:, 0], twists[:, 1]).max()
-    cell = (2.0 * math.pi * area / (MAX_CELLS * curvature)) ** (1.0 / 3.0)
-    cell = min(max(cell, cells[0]), cells[1])
-    headings = min(max(math.ceil(2.0 * math.pi / (cell * curvature)), HEADINGS[0]), HEADINGS[1])
+    cell, headings = _resolution(area, twists, cells)
     fits = area * headings / cell**2 <= 1.2 * MAX_CELLS  # which rounding of the bins may exceed
     half = math.inf if fits else 0.5 * cell * math.sqrt(MAX_CELLS / headings)
     before = [math.ceil(max(min(c - low, half), 0.0) / cell) + 1 for c, (low, _) in zip(goal, bounds, strict=False)]
@@ -150,6 +147,21 @@ def pose_cost_to_go(
         float(np.hypot(twists[:, 0], twists[:, 1]).max()),
         reversal,
     )
+
+
+def _resolution(area: float, twists: Matrix, cells: tuple[float, float]) -> tuple[float, int]:
+    """Side of a cell (m) and number of bins of the heading, for a workspace of `area` m^2.
+
+    A motion turns by about a bin on a cell, and there are about `MAX_CELLS` of them.  A vehicle that never turns stays
+    in the bin in which it is, a vehicle that only turns in its cell.
+    """
+    turning, speed = float(np.abs(twists[:, 2]).max()), float(np.hypot(twists[:, 0], twists[:, 1]).max())
+    if turning == 0.0:
+        return cells[1], HEADINGS[0]
+    curvature = turning / speed if speed > 0.0 else math.inf
+    cell = (2.0 * math.pi * area / (MAX_CELLS * curvature)) ** (1.0 / 3.0)
+    cell = min(max(cell, cells[0]), cells[1])
+    return cell, min(max(math.ceil(2.0 * math.pi / (cell * curvature)), HEADINGS[0]), HEADINGS[1])
 
 
 def _searched(

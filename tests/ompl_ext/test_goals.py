@@ -201,6 +201,22 @@ def test_the_cost_to_go_of_poses_knows_turning_and_reversing() -> None:
     assert seconds(1.5, 2.2, 0.0) > 0.7 + 0.3  # a rover does not move sideways
 
 
+def test_a_vehicle_that_hardly_turns_has_a_way_straight_ahead_and_none_to_another_heading() -> None:
+    straight = replace(ROVER, controls={**ROVER.controls, "spin": (-1e-3, 1e-3)})
+    room, ahead = Workspace(((0.0, 3.0), (0.0, 3.0))), Goal((2.4, 1.5), 0.1, 0.0, math.radians(3))
+    dirt = DirtSolver(straight, room, ahead, NO_SAFETY)
+    dirt.start(np.array([0.6, 1.5, 0.0, 0.0, 0.0]))
+    dirt.grow(iterations=64)
+    plan = dirt.plan()
+    assert plan is not None
+    assert plan.reaches_goal
+    assert not verify(dirt, plan).problems
+    across = DirtSolver(straight, room, replace(ahead, heading=math.pi / 2), NO_SAFETY)
+    across.start(np.array([0.6, 1.5, 0.0, 0.0, 0.0]))
+    across.grow(iterations=64)
+    assert (found := across.plan()) is None or not found.reaches_goal
+
+
 def test_ways_of_what_cannot_reverse_have_its_smallest_turns_where_those_lead_farther(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
