@@ -139,7 +139,7 @@ def plan_task(
     plan, unfit = _accepted(found, verification, seed)
     reason = reason or unfit or _failure_reason(task, vehicle, plan, found.progress)
     judged = verification if plan is not None else None
-    used = settings_for(settings, vehicle, dirt.goal)
+    used = settings_for(settings, vehicle, workspace, dirt.goal)
     return PlanResult(
         plan, dirt.tree(), found.progress, judged, reason, budget, used, seed, setup_seconds, verify_seconds, threads
     )

@@ -200,10 +200,15 @@ def fields(
     return field, _fine_field_of(workspace, field, cells, disc_radius, touch, spacing)
 
 
+def least_spacing(workspace: Workspace, footprint: Footprint) -> float:
+    """Spacing of a fine field (m) below which a workspace would have more than four times `MAX_CELLS` vertices."""
+    area = math.prod(high - low + 2 * footprint.reach for low, high in workspace.bounds)
+    return math.sqrt(area / (4 * MAX_CELLS))
+
+
 def fine_spacing(workspace: Workspace, footprint: Footprint, cell: float, wanted: float) -> float:
     """Spacing of the fine field (m): `wanted`, or larger in a large workspace, but no loss of more than `cell` m."""
-    area = math.prod(high - low + 2 * footprint.reach for low, high in workspace.bounds)
-    return min(cell * math.sqrt(2.0), max(wanted, math.sqrt(area / (4 * MAX_CELLS))))
+    return min(cell * math.sqrt(2.0), max(wanted, least_spacing(workspace, footprint)))
 
 
 def coarse_cell(workspace: Workspace, footprint: Footprint, cell: float) -> float:

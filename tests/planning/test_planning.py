@@ -20,8 +20,11 @@ from kraft.planning.stated_speed import faster_than_stated
 from kraft.planning.workspace import fence, settings_of, start_state, workspace_of
 from kraft.scenario import Task, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
+from ompl_ext.checker import EdgeChecker
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import specialise
+from ompl_ext.obstacles import Workspace, box
+from ompl_ext.query import Goal
 from ompl_ext.vehicle import Footprint, Vehicle
 from ompl_ext.verification import Requirement, Verification, Violation
 
@@ -233,6 +236,17 @@ def test_a_top_speed_that_the_model_exceeds_is_named_with_the_speed_it_reaches(m
 
 WALL = ("size: [1, 1]", "size: [0.5, 4]")
 NEAR = ("x: 0.5, y: 0.5, heading_deg: 0", "x: 1.2975, y: 2.0, heading_deg: 0")
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.25, 0.05])
+def test_a_small_vehicle_gets_through_gaps_that_suit_its_size(scale: float, mushr: Vehicle) -> None:
+    """Cells of a fixed size close these gaps to it."""
+    shape = Footprint(scale * mushr.footprint.length, scale * mushr.footprint.width)
+    vehicle = dataclasses.replace(mushr, footprint=shape, top_speed=scale * mushr.top_speed)
+    sides = tuple(box((0.0, side * scale), (scale, 0.6 * scale)) for side in (-0.6, 0.6))
+    bounds = (-2.0 * scale, 2.0 * scale), (-2.0 * scale, 2.0 * scale)
+    slack = EdgeChecker(vehicle, Workspace(bounds, sides), Goal((1.5 * scale, 0.0), 0.2 * scale)).pose_slack(0, 0, 0)
+    assert 0.0 < slack / scale < 0.3 - 0.5 * mushr.footprint.width
 
 
 @pytest.mark.parametrize("x", [0.41, 0.39, 0.38])
