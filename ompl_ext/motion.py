@@ -91,14 +91,17 @@ def motion_of(vehicle: Vehicle) -> Motion:
 
 
 def edge_durations(vehicle: Vehicle) -> tuple[float, float]:
-    """Shortest and longest edge (s) that suit a vehicle: longer ones if it accelerates slowly.
+    """Shortest and longest edge (s) that suit a vehicle: longer ones if it accelerates slowly, or is slow for its size.
 
-    A slow vehicle hardly moves in a short edge, and a tree of such edges does not get anywhere.
+    Such a vehicle hardly moves in a short edge, and a tree of such edges does not get anywhere: the longest edge leads
+    as far as the vehicle is long, or farther.
     """
+    shortest, longest = EDGE_DURATIONS
     response = _response_time(vehicle)
-    if response <= SLOW_RESPONSE:
-        return EDGE_DURATIONS
-    return EDGE_DURATIONS[0] * response, 1.5 * EDGE_DURATIONS[1] * response
+    if response > SLOW_RESPONSE:
+        shortest, longest = shortest * response, 1.5 * longest * response
+    passing = vehicle.footprint.length / vehicle.top_speed
+    return max(shortest, 0.5 * passing), max(longest, passing)
 
 
 def _response_time(vehicle: Vehicle) -> float:

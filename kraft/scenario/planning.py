@@ -55,7 +55,7 @@ class Planning(StrictModel):
     time: Duration | None = None
     """planning budget in wall-clock time, not repeatable, s"""
     edge_duration: tuple[Duration, Duration] | None = None
-    """shortest and longest duration of one tree edge, s; 0.5 and 1, or longer for a vehicle that accelerates slowly"""
+    """shortest and longest duration of one tree edge, s; 0.5 and 1, or longer for a vehicle that is slow"""
     integration_step: Duration = INTEGRATION_STEP
     """longest step of the integrator, s; the longest edge takes ten steps or more"""
     blossom: Annotated[int, Field(ge=1, le=32)] = 32

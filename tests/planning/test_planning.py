@@ -23,6 +23,7 @@ from kraft.vehicles.load import load_vehicle
 from ompl_ext.checker import EdgeChecker
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import specialise
+from ompl_ext.motion import EDGE_DURATIONS, edge_durations
 from ompl_ext.obstacles import Workspace, box
 from ompl_ext.query import Goal
 from ompl_ext.vehicle import Footprint, Vehicle
@@ -225,6 +226,17 @@ def test_a_step_that_is_too_short_for_the_edges_of_a_slow_vehicle_is_refused_at_
     ):
         assert located(raised(check)) == ["8:30 planning.integration_step conflict"]
     assert raised(lambda: check_placement(task, mushr, start_state(task, mushr))) == ()
+
+
+def test_the_edges_of_a_vehicle_that_is_slow_for_its_size_lead_as_far_as_it_is_long(mushr: Vehicle) -> None:
+    """It does not get anywhere by edges that suit a fast one."""
+    assert edge_durations(mushr) == EDGE_DURATIONS
+    digger = dataclasses.replace(mushr, footprint=Footprint(4 * mushr.top_speed, 0.8))
+    shortest, longest = edge_durations(digger)
+    assert longest * digger.top_speed == pytest.approx(digger.footprint.length)
+    assert shortest == 0.5 * longest
+    assert settings_of(room(), digger).longest == longest
+    assert settings_of(parse_scenario(SCENE + "planning: {edge_duration: [1, 2]}\n").task(), digger).longest == 2.0
 
 
 def test_a_top_speed_that_the_model_exceeds_is_named_with_the_speed_it_reaches(mushr: Vehicle) -> None:
