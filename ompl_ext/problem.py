@@ -115,7 +115,8 @@ def _scalars(
     scalar[[at.CYCLE, at.DELTA, at.DELTA_PER_SPEED]] = safety.cycle, safety.delta, safety.delta_per_speed
     scalar[[at.DELTA_PER_TIME, at.DELTA_HORIZON]] = safety.delta_per_time, safety.delta_horizon
     scalar[[at.NEAR, at.DELTA_FAR, at.DELTA_FAR_PER_SPEED]] = safety.near, safety.far_delta, safety.far_delta_per_speed
-    scalar[[at.REST_SPEED, at.BRAKE_STEP]] = safety.rest_speed, safety.step
+    scalar[at.REST_SPEED] = safety.rest_speeds(vehicle)[0] if vehicle.rest else 0.0
+    scalar[[at.REST_RATE, at.BRAKE_STEP]] = safety.rest_speed, safety.step
     scalar[[at.LENGTH, at.TOP_SPEED]] = vehicle.footprint.length, vehicle.top_speed
     scalar[[at.GOAL_BIAS, at.EXPLORATION]] = settings.goal_bias, settings.exploration
     scalar[at.CONTROL_BOUND_BIAS] = settings.beyond

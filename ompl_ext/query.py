@@ -12,6 +12,9 @@ from ompl_ext.arrays import Bools, Floats
 from ompl_ext.kernels.kernel_types import LANE_WIDTH
 from ompl_ext.vehicle import Vehicle
 
+REST_SHARE = 0.02
+"""Largest share of its top speed at which a vehicle stands: a slow one drives at the speed that is rest for others."""
+
 MAX_STEPS = 100_000  # integration steps of an edge or a manoeuvre
 
 
@@ -90,7 +93,8 @@ class Safety:
     contingency to begin at the end of the cycle.
 
     With `enabled`, every edge that crosses the end of the cycle must pass SAFETY (Alg. 2).  A manoeuvre without
-    standstill within `horizon` s is not safe.
+    standstill within `horizon` s is not safe.  A vehicle stands if no `rest` component is above `rest_speed` (SI), its
+    speed not above `REST_SHARE` of its top speed either.
     """
 
     enabled: bool = True
@@ -120,9 +124,15 @@ class Safety:
         if self.horizon / self.step > MAX_STEPS:
             raise ValueError(f"safety: a horizon of {self.horizon} s has too many steps of {self.step} s")
 
+    def rest_speeds(self, vehicle: Vehicle) -> Floats:
+        """Largest values at standstill of the vehicle's `rest` components, of which the first is its speed."""
+        largest: Floats = np.full(len(vehicle.rest_indices), self.rest_speed)
+        largest[:1] = min(self.rest_speed, REST_SHARE * vehicle.top_speed)
+        return largest
+
     def is_resting(self, vehicle: Vehicle, state: Floats) -> Bools:
-        """Whether states (..., nx) are at standstill: no `rest` component of the vehicle is above `rest_speed`."""
-        resting: Bools = np.all(np.abs(state[..., list(vehicle.rest_indices)]) <= self.rest_speed, axis=-1)
+        """Whether states (..., nx) are at standstill."""
+        resting: Bools = np.all(np.abs(state[..., list(vehicle.rest_indices)]) <= self.rest_speeds(vehicle), axis=-1)
         return resting
 
     def clearance(self, speed: Floats, time: Floats) -> Floats:

@@ -32,6 +32,7 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     MANOEUVRES,
     POSE_HEADINGS,
     REACH,
+    REST_RATE,
     REST_SPEED,
     Lanes,
     Problem,
@@ -205,9 +206,8 @@ def is_resting(work: Lanes, step: int, lane: int, problem: Problem) -> bool:
     """Whether the vehicle is at standstill at a sample, as `Safety.is_resting`."""
     resting = True
     for k in RESTING:
-        resting = resting and (
-            k < 0 or abs(work.trajectory[(step * NX + k) * WIDTH + lane]) <= problem.scalar[REST_SPEED]
-        )
+        largest = problem.scalar[REST_SPEED if k == RESTING[0] else REST_RATE]
+        resting = resting and (k < 0 or abs(work.trajectory[(step * NX + k) * WIDTH + lane]) <= largest)
     return resting
 
 

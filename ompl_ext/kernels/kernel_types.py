@@ -61,7 +61,8 @@ class Maps(NamedTuple):
 SHORTEST, LONGEST, QUANTUM = 0, 1, 2  # edge durations; multiples of QUANTUM if it is positive (s)
 HEADING_WEIGHT, RESOLUTION = 3, 4  # of the tree's metric (m)
 CYCLE, DELTA, DELTA_PER_SPEED = 5, 6, 7  # planning cycle (s); clearance DELTA + DELTA_PER_SPEED |v| at first (m, s)
-REST_SPEED, BRAKE_STEP = 8, 9  # speed of standstill (SI); integration step of a manoeuvre (s)
+REST_SPEED, REST_RATE = 8, 11  # largest speed at standstill, and largest value of other components that vanish (SI)
+BRAKE_STEP = 9  # integration step of a manoeuvre (s)
 REACH, LENGTH = 10, 12  # of the footprint (m)
 GRID_X, GRID_Y, GRID_INVERSE = 13, 14, 15  # lower left corner and 1 / cell of field and togo
 X_LOW, X_HIGH, Y_LOW, Y_HIGH = 16, 17, 18, 19  # workspace bounds (m)

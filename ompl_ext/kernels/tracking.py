@@ -295,11 +295,11 @@ def command(track: Track, at: Ints, law: Law, time: float, state: Floats, contro
 
 
 @part
-def is_resting(state: Floats, rest: Ints, rest_speed: float) -> bool:
+def is_resting(state: Floats, rest: Ints, largest: Floats) -> bool:
     """Whether a state is at standstill, as `Safety.is_resting`."""
     resting = True
     for k in range(len(rest)):
-        resting = resting and abs(state[rest[k]]) <= rest_speed
+        resting = resting and abs(state[rest[k]]) <= largest[k]
     return resting
 
 
@@ -312,7 +312,7 @@ def _closed_loop(
     ticks: Ticks,
     until: float,
     rest: Ints,
-    rest_speed: float,
+    rest_speeds: Floats,
     states: Matrix,
     controls: Matrix,
 ) -> tuple[int, float]:
@@ -324,7 +324,7 @@ def _closed_loop(
     nx, nu, slack = states.shape[1], controls.shape[1], math.inf
     for tick in range(len(ticks.time)):
         state = states[tick]
-        if ticks.time[tick] >= until and is_resting(state, rest, rest_speed):
+        if ticks.time[tick] >= until and is_resting(state, rest, rest_speeds):
             return tick, slack
         command(track, at, law, ticks.time[tick], state, controls[tick])
         for k in range(nx):
@@ -374,7 +374,7 @@ def tracking() -> Tracking:
     number, floats, ints, matrix = types.float64, types.float64[::1], types.int64[::1], types.float64[:, ::1]
     pair: Any = types.Tuple
     projection, loop = pair((number, number)), pair((types.int64, number))
-    of_loop = loop(track, ints, law, PROBLEM, LANES, ticks, number, ints, number, matrix, matrix)
+    of_loop = loop(track, ints, law, PROBLEM, LANES, ticks, number, ints, floats, matrix, matrix)
     return Tracking(
         compiled(_command, signature=types.void(track, ints, law, number, floats, floats)),
         compiled(_closed_loop, signature=of_loop),

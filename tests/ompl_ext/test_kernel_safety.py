@@ -20,7 +20,7 @@ from support.kernels import (
 
 from ompl_ext.exact import ExactClearance
 from ompl_ext.obstacles import Workspace, box
-from ompl_ext.query import Safety
+from ompl_ext.query import REST_SHARE, Safety
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Footprint
 
@@ -71,6 +71,18 @@ def test_a_start_in_the_goal_is_a_plan_only_with_a_contingency() -> None:
     at_once = dirt.plan()
     assert at_once is not None
     assert (at_once.cost, at_once.contingency is None) == (0.0, False)
+
+
+def test_a_slow_vehicle_at_its_top_speed_does_not_stand() -> None:
+    slow = replace(BENCHMARK, top_speed=0.01)
+    dirt = DirtSolver(slow, Workspace(((0.0, 3.0), (0.0, 3.0))), GOAL, Safety())
+    state = np.array([1.0, 1.0, 0.0, 0.008])
+    assert not Safety().is_resting(slow, state)
+    contingency = dirt.contingency(state)
+    assert contingency is not None
+    assert contingency.states[0, 3] == 0.008
+    assert contingency.states[-1, 3] <= REST_SHARE * slow.top_speed < contingency.states[-2, 3]
+    assert Safety().is_resting(BENCHMARK, state)
 
 
 def scene(seed: int) -> tuple[DirtSolver, ExactClearance, Array]:

@@ -250,6 +250,6 @@ class KinodynamicController:
         tracker.set_reference(reference, float(ticks.time[0]))
         done, slack = tracking().closed_loop(
             tracker.track, tracker.where, tracker.law, checker.problem, checker.work, ticks, until,
-            np.array(vehicle.rest_indices), checker.safety.rest_speed, states, controls,
+            np.array(vehicle.rest_indices), checker.safety.rest_speeds(vehicle), states, controls,
         )  # fmt: skip
         return states[: done + 1], controls[:done], slack
