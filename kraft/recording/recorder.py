@@ -161,7 +161,7 @@ class Recorder:
         self._scenario, self._seed = scenario, seed
         self._model = model_of(vehicle)
         self._free_space = FreeSpace(scenario, vehicle)
-        self._world = world_of(scenario, vehicle, seed)
+        self._world = world_of(scenario, vehicle, seed, visuals=False)
         self._vehicle = RecordedVehicle.of(vehicle, true_robot(scenario, vehicle).robot)
 
     def place(self, number: int, path: Matrix) -> Place:

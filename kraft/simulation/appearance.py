@@ -38,6 +38,10 @@ MARGIN: Final = 0.35
 THICKNESS: Final = 0.06
 TABLE: Final = 0.45
 """Width of the table beyond the visible floor, m."""
+STRIPE: Final = 0.1
+"""Width of a bump's stripes, m, about."""
+PROUD: Final = 0.0006
+"""Height of tape and stripes above what they are on, m."""
 
 
 def rgba(name: str) -> list[float]:
@@ -46,11 +50,24 @@ def rgba(name: str) -> list[float]:
 
 
 def add_materials(spec: Any) -> None:
-    """Add all materials that geoms refer to."""
+    """Add the plain materials that geoms refer to."""
     for name in COLOURS:
         shininess = SHININESS.get(name, 0.15)
         emission = EMISSION.get(name, 0.0)
         spec.add_material(name=name, rgba=rgba(name), specular=shininess, shininess=shininess, emission=emission)
+
+
+def add_visuals(spec: Any, ground: Any, scenario: Scenario, frame: FloorFrame) -> None:
+    """Add all that is only there to be seen, apart from that of the robot."""
+    _add_textures(spec)
+    _add_light(spec, scenario)
+    _add_stripes(spec, ground, len(scenario.truth.speed_bumps))
+    _add_tape(spec, scenario)
+    _add_surroundings(spec, ground, scenario, frame)
+
+
+def _add_textures(spec: Any) -> None:
+    """Add those of sky and floor, with the floor's material."""
     spec.add_texture(
         name="floor", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         mark=mujoco.mjtMark.mjMARK_EDGE, rgb1=[0.80, 0.79, 0.77], rgb2=[0.76, 0.75, 0.73],
@@ -64,7 +81,7 @@ def add_materials(spec: Any) -> None:
     )  # fmt: skip
 
 
-def add_light(spec: Any, scenario: Scenario) -> None:
+def _add_light(spec: Any, scenario: Scenario) -> None:
     """Add a directional light that casts shadows, and ambient light."""
     x, y = sum(scenario.bounds.x) / 2, sum(scenario.bounds.y) / 2
     spec.visual.headlight.ambient = [0.38, 0.38, 0.40]
@@ -82,7 +99,30 @@ def add_light(spec: Any, scenario: Scenario) -> None:
     )  # fmt: skip
 
 
-def add_surroundings(spec: Any, ground: Any, scenario: Scenario, frame: FloorFrame) -> None:
+def _add_stripes(spec: Any, ground: Any, bumps: int) -> None:
+    """Add stripes around the cylinders of bumps."""
+    for i in range(bumps):
+        bump = spec.geom(f"bump {i}")
+        (radius, half, _), axis = bump.size.tolist(), np.empty(3)
+        mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, 1.0]), bump.quat)
+        stripes = max(1, round(half / STRIPE))
+        for k in range(stripes):
+            place = bump.pos + ((k + 0.5) / stripes - 0.5) * 2 * half * axis
+            size = [radius + PROUD, half / stripes / 2, 0.0]
+            ground.add_geom(
+                type=CYLINDER, pos=place, quat=bump.quat, size=size, material="bump stripe", **contacts.VISUAL
+            )
+
+
+def _add_tape(spec: Any, scenario: Scenario) -> None:
+    """Add tape around the movable boxes."""
+    for i, box in enumerate(scenario.truth.movable_boxes):
+        length, _, height = box.size
+        tape = [length / 2 + PROUD, 0.025, height / 2 + PROUD]
+        spec.body(f"movable {i}").add_geom(type=BOX, size=tape, material="tape", **contacts.VISUAL)
+
+
+def _add_surroundings(spec: Any, ground: Any, scenario: Scenario, frame: FloorFrame) -> None:
     """Add a slab under the scene, which shows the tilt, a level table below it, and the goal."""
     bounds, goal = scenario.bounds, scenario.goal
     half = [(bounds.x[1] - bounds.x[0]) / 2 + MARGIN, (bounds.y[1] - bounds.y[0]) / 2 + MARGIN]

@@ -170,8 +170,8 @@ def design_of(car: CarDimensions) -> CarDesign:
     return design if car.drive is None else design.with_drive(car.drive.top_speed, car.drive.time_constant)
 
 
-def add_car(spec: Any, design: CarDesign, gap: VehicleGap) -> Any:
-    """Add a car at the origin of the world; returns its body."""
+def add_car(spec: Any, design: CarDesign, gap: VehicleGap) -> None:
+    """Add a car at the origin of the world."""
     body = spec.worldbody.add_body(name=CAR)
     body.add_freejoint(name=CAR)
     body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER  # a standing car must still respond to commands
@@ -196,7 +196,6 @@ def add_car(spec: Any, design: CarDesign, gap: VehicleGap) -> Any:
         servo.set_to_pid(
             kp=design.servo_stiffness, kv=design.servo_damping, slewmax=design.steering_rate, ctrlspec=POSITION
         )
-    return body
 
 
 def _add_wheel(body: Any, design: CarDesign, name: str) -> None:

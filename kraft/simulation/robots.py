@@ -55,6 +55,9 @@ class SimulatedRobot(Protocol):
     def add(self, spec: Any, gap: VehicleGap) -> None:
         """Add the robot to a `mujoco.MjSpec`, with its marker; `gap` is how it differs from its model."""
 
+    def add_visuals(self, spec: Any) -> None:
+        """Add what is only there to be seen to the robot."""
+
     def bind(self, model: Any, data: Any) -> RobotInWorld:
         """Robot in a compiled world."""
 
@@ -94,7 +97,11 @@ class SimulatedCar:
 
     def add(self, spec: Any, gap: VehicleGap) -> None:
         """Add the car."""
-        add_car_visuals(spec, add_car(spec, self.design, gap), self.design)
+        add_car(spec, self.design, gap)
+
+    def add_visuals(self, spec: Any) -> None:
+        """Add its visual geoms."""
+        add_car_visuals(spec, spec.body(CAR), self.design)
 
     def bind(self, model: Any, data: Any) -> CarInWorld:
         """Car in a compiled world."""
@@ -201,6 +208,9 @@ class MjcfRobot:
                 geom.conaffinity = 0
         tracked = spec.body(self.body)
         tracked.add_site(name=MARKER, pos=[0.0, 0.0, MARKER_HEIGHT - self._height])
+
+    def add_visuals(self, spec: Any) -> None:
+        """Add nothing: the file has what is to be seen."""
 
     def bind(self, model: Any, data: Any) -> MjcfInWorld:
         """Robot in a compiled world."""

@@ -24,8 +24,6 @@ BOX, CYLINDER, MESH = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER,
 PATCH_RISE: Final = 0.001
 """Height of a friction patch above the floor (m), so that a wheel on it does not touch the floor as well."""
 PATCH_DEPTH: Final = 0.05
-STRIPE: Final = 0.1
-"""Width of a bump's stripes, m, about."""
 MAX_SEPARATE_BODIES: Final = 12
 """Number of obstacles up to which each is a body of its own.  MuJoCo's broad phase is faster with a few bodies than
 with the geoms of one body, and slower with more than twenty.  This affects only the computing time."""
@@ -33,8 +31,8 @@ WALL_RATIO: Final = 10.0
 """A box this many times longer than wide is painted as a wall."""
 
 
-def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame, grip: float = 1.0) -> Any:
-    """Add the floor and all that stands on it; returns the floor's body.  Obstacle i has geoms "obstacle i part j".
+def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame, grip: float = 1.0) -> None:
+    """Add the floor and all that stands on it.  Obstacle i has geoms "obstacle i part j".
 
     `grip` is a factor on the friction of floor, bumps and patches, that of the robot's tyres.
     """
@@ -58,7 +56,6 @@ def add_scene(spec: Any, scenario: Scenario, frame: FloorFrame, grip: float = 1.
         _add_obstacle(spec, _add_body(spec, f"obstacle {i}", frame) if separate else ground, i, obstacle)
     for i, box in enumerate(truth.movable_boxes):
         _add_movable(spec, i, box, min(box.friction, truth.floor_friction), frame)
-    return ground
 
 
 def _add_patch(ground: Any, i: int, patch: FrictionPatch, grip: float) -> None:
@@ -93,12 +90,6 @@ def _add_bump(ground: Any, i: int, bump: SpeedBump, friction: list[float]) -> No
         material="bump",
         **contacts.settings(**contacts.BUMP),
     )
-    stripes = max(1, round(along / (2 * STRIPE)))
-    for k in range(stripes):
-        shift = ((k + 0.5) / stripes - 0.5) * along
-        place = [*(bump.center + shift * rotation[:2, 0]), height - radius]
-        size = [radius + 0.0008, along / stripes / 4, 0.0]
-        ground.add_geom(type=CYLINDER, pos=place, quat=quat, size=size, material="bump stripe", **contacts.VISUAL)
 
 
 def _add_body(spec: Any, name: str, frame: FloorFrame) -> Any:
@@ -152,8 +143,6 @@ def _add_movable(spec: Any, i: int, box: MovableBox, sliding: float, frame: Floo
         friction=contacts.friction(sliding),
         **contacts.settings(**contacts.MOVABLE),
     )
-    tape = [length / 2 + 0.0006, 0.025, height / 2 + 0.0006]
-    body.add_geom(type=BOX, size=tape, material="tape", **contacts.VISUAL)
 
 
 def set_friction(model: Any, scenario: Scenario, floor_friction: float, grip: float) -> None:
@@ -166,11 +155,17 @@ def set_friction(model: Any, scenario: Scenario, floor_friction: float, grip: fl
 
 
 def build(
-    scenario: Scenario, frame: FloorFrame, timestep: float, add_robot: Callable[[Any], None], grip: float = 1.0
+    scenario: Scenario,
+    frame: FloorFrame,
+    timestep: float,
+    add_robot: Callable[[Any], None],
+    add_robot_visuals: Callable[[Any], None] | None,
+    grip: float = 1.0,
 ) -> Any:
     """Compile the world of a scenario with the robot that `add_robot` adds; returns a `mujoco.MjModel`.
 
-    `grip` is a factor on the friction of the floor, that of the robot's tyres.
+    What is only there to be seen is added last, `add_robot_visuals` adding that of the robot; without that function
+    nothing is.  `grip` is a factor on the friction of the floor, that of the robot's tyres.
     """
     spec = mujoco.MjSpec()
     spec.modelname = scenario.name
@@ -190,10 +185,11 @@ def build(
     else:
         option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND  # a single body needs no search for islands
     appearance.add_materials(spec)
-    appearance.add_light(spec, scenario)
-    ground = add_scene(spec, scenario, frame, grip)
-    appearance.add_surroundings(spec, ground, scenario, frame)
+    add_scene(spec, scenario, frame, grip)
     add_robot(spec)
+    if add_robot_visuals is not None:
+        appearance.add_visuals(spec, spec.body(GROUND), scenario, frame)
+        add_robot_visuals(spec)
     with warnings.catch_warnings():  # a box that touches the car is awake from the start, as it should be
         warnings.filterwarnings("ignore", message=".*could be slept")
         return spec.compile()

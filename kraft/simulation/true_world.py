@@ -136,22 +136,23 @@ def true_robot(scenario: Scenario, vehicle: Vehicle) -> TrueRobot:
     return TrueRobot(robot, source if vehicle.file else scenario.source)
 
 
-def world_of(scenario: Scenario, vehicle: Vehicle, seed: int) -> World | ModelWorld:
+def world_of(scenario: Scenario, vehicle: Vehicle, seed: int, visuals: bool = True) -> World | ModelWorld:
     """World of a trial at its start.
 
     Args:
         scenario: the scene, and what is true in it.
         vehicle: model that the robot plans with; it says what is true where the scenario does not.
         seed: seed of the trial.
+        visuals: whether the world has what is only there to be seen.
 
     Raises:
         InputError: if the robot cannot be simulated there, or takes other controls than the vehicle has.
     """
     true = true_robot(scenario, vehicle)
     if true.robot.kind == "car":
-        return World(scenario, SimulatedCar(_car(vehicle, true)))
+        return World(scenario, SimulatedCar(_car(vehicle, true)), visuals)
     if true.robot.kind == "mjcf":
-        return _mjcf_world(scenario, vehicle, true)
+        return _mjcf_world(scenario, vehicle, true, visuals)
     return ModelWorld(scenario, _true_model(scenario, vehicle, true), true.robot.process_noise, seed)
 
 
@@ -163,7 +164,7 @@ def check_world(scenario: Scenario, vehicle: Vehicle) -> None:
     """
     true = true_robot(scenario, vehicle)
     if true.robot.kind in ("car", "mjcf"):
-        world_of(scenario, vehicle, 0)
+        world_of(scenario, vehicle, 0, visuals=False)
     else:
         _true_model(scenario, vehicle, true)
 
@@ -201,11 +202,11 @@ def _mjcf(vehicle: Vehicle, true: TrueRobot) -> MjcfRobot:
     return mjcf_robot(robot.mjcf, vehicle.controls, robot.body, robot.actuators, robot.geoms, true.problem)
 
 
-def _mjcf_world(scenario: Scenario, vehicle: Vehicle, true: TrueRobot) -> World:
+def _mjcf_world(scenario: Scenario, vehicle: Vehicle, true: TrueRobot, visuals: bool) -> World:
     """World with a robot of an MJCF file, which stands freely on the floor at the start."""
     if scenario.truth.vehicle != VehicleGap() or any(change.vehicle for change in scenario.truth.changes):
         raise InputError([_without_effect(scenario, "vehicle", "a robot of a MuJoCo model")])
-    world = World(scenario, _mjcf(vehicle, true))
+    world = World(scenario, _mjcf(vehicle, true), visuals)
     if world.collision is not None:
         problem, expected = f"the robot touches {world.collision.obstacle!r}", "expected a start that is free"
         raise InputError([scenario.source.diagnostic("start", problem, expected, code=Code.GEOMETRY)])
@@ -416,7 +417,7 @@ class ModelWorld:
     @cached_property
     def model(self) -> Any:
         """MuJoCo's model of the scene with a block as the vehicle, compiled when it is first drawn."""
-        return build(self._scenario, self.frame, self.dt, self._add_block)
+        return build(self._scenario, self.frame, self.dt, self._add_body, self._add_block)
 
     @property
     def data(self) -> Any:
@@ -431,12 +432,15 @@ class ModelWorld:
     def _drawn(self) -> Any:
         return mujoco.MjData(self.model)
 
-    def _add_block(self, spec: Any) -> None:
-        """Add the footprint as a block, with a stripe at its front."""
-        shape = self.truth.footprint
+    def _add_body(self, spec: Any) -> None:
+        """Add a body for the vehicle."""
         body = spec.worldbody.add_body(name=CAR)
         body.add_freejoint()
         body.explicitinertial, body.mass, body.inertia = True, 1.0, [1.0, 1.0, 1.0]
+
+    def _add_block(self, spec: Any) -> None:
+        """Add the footprint as a block, with a stripe at its front."""
+        shape, body = self.truth.footprint, spec.body(CAR)
         front = shape.offset + shape.length / 2
         parts = (("paint", shape.offset - shape.length / 2, 0.0), ("lamp", front - 0.1 * shape.length, 0.001))
         for material, rear, inset in parts:  # the stripe is a little larger, so that it is in front

@@ -57,7 +57,9 @@ def run_trial(
         MissingDependency: if frames of the camera are rendered and OpenCV or OpenGL is missing.
         Defect: if a plan fails its verification.
     """
-    trial = _Trial(spec, keep_trees, world or world_of(spec.scenario, spec.vehicle, spec.seed))
+    # only `on_step` may draw the world
+    world = world or world_of(spec.scenario, spec.vehicle, spec.seed, visuals=on_step is not None)
+    trial = _Trial(spec, keep_trees, world)
     log = _Log(on_cycle, on_step)
     while (outcome := trial.outcome) is None:
         trial.observe(log)

@@ -59,3 +59,14 @@ def test_visual_geoms_stay_within_the_car() -> None:
         x, y = corners[:, 1] - at[1], at[0] - corners[:, 0]  # the car visual along +y
         assert -0.2255 < x.min() < x.max() < 0.2155
         assert np.abs(y).max() < 0.139
+
+
+@pytest.mark.parametrize("name", ["bump", "movable"])
+def test_a_world_without_visuals_moves_to_the_same_bytes(name: str) -> None:
+    seen, plain = World(load_scenario(name)), World(load_scenario(name), visuals=False)
+    assert plain.model.ngeom < seen.model.ngeom - 20
+    assert not (plain.model.geom_group == 2).any()
+    for world in (seen, plain):
+        world.apply([0.5, 0.05])
+        world.step(2000)
+    assert plain.configuration.tobytes() == seen.configuration.tobytes()
