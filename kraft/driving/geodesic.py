@@ -7,10 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from ompl_ext.arrays import Floats, Matrix, Matrix32
+from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.costtogo import descend, smooth
-from ompl_ext.kernels.kernel_types import Problem
 from ompl_ext.plan import Plan
 from ompl_ext.poses import pose_of
 from ompl_ext.solver import DirtSolver
@@ -65,16 +64,3 @@ def descended(dirt: DirtSolver, x: float, y: float) -> Matrix | None:
     result = np.empty_like(path)
     smooth(path, SMOOTHED // 2, result)
     return result
-
-
-def interpolated(problem: Problem, grid: Matrix32, x: Floats, y: Floats) -> Floats:
-    """Values of a grid with the cells of a problem's field at points, bilinear; that of the border beyond it."""
-    scalar = problem.scalar
-    u = ((x - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE] - 0.5).clip(0.0, grid.shape[1] - 2.0)
-    v = ((y - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE] - 0.5).clip(0.0, grid.shape[0] - 2.0)
-    column, row = u.astype(int), v.astype(int)
-    u, v = u - column, v - row
-    low = grid[row, column] * (1.0 - u) + grid[row, column + 1] * u
-    high = grid[row + 1, column] * (1.0 - u) + grid[row + 1, column + 1] * u
-    found: Floats = low * (1.0 - v) + high * v
-    return found

@@ -19,6 +19,7 @@ from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.jit import cache_folder, cache_root
 from ompl_ext.kernels.clearance import ClearanceField, cover, fields
 from ompl_ext.kernels.costtogo import cost_to_go
+from ompl_ext.kernels.half_planes import half_planes
 from ompl_ext.kernels.moments import moments
 from ompl_ext.kernels.paths import paths
 from ompl_ext.kernels.pose_fusion import pose_fusion
@@ -157,13 +158,14 @@ def _maps_meanwhile() -> Iterator[subprocess.Popen[bytes] | None]:
 
 
 def compile_maps() -> None:
-    """Compile the kernels of the clearance fields, the costs-to-go and exact clearances."""
+    """Compile the kernels of the clearance fields, the costs-to-go, exact clearances and half-planes of free space."""
     field, world, body = _small_map()
     for most_in_order in (field.values.size, 0):
         _seconds_to_goal(field, most_in_order)
     exact = ExactClearance(world, body)
     exact.distance(0.5, 0.1)
     exact.lower_bounds(np.zeros((1, 3)))
+    half_planes()
     _marker(MAPS).touch()
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ompl_ext.arrays import Bools, Floats, Floats32, Ints32, Matrix, int64
+from ompl_ext.arrays import Bools, Floats, Floats32, Ints32, Matrix, Matrix32, int64
 from ompl_ext.jit import compiled, inlined
 from ompl_ext.kernels.clearance import ClearanceField
 from ompl_ext.kernels.kernel_types import (  # fmt: skip
@@ -283,12 +283,12 @@ def _extend(distance: Floats, blocked: Bools) -> None:
 
 
 @inlined
-def _between(togo: Floats32, u: float, v: float) -> float:
+def _between(grid: Matrix32, u: float, v: float) -> float:
     """Bilinear interpolation `u` columns and `v` rows from the centre of the first cell."""
     column, row = int(u), int(v)
     u, v = u - column, v - row
-    low = togo[row, column] * (1.0 - u) + togo[row, column + 1] * u
-    high = togo[row + 1, column] * (1.0 - u) + togo[row + 1, column + 1] * u
+    low = grid[row, column] * (1.0 - u) + grid[row, column + 1] * u
+    high = grid[row + 1, column] * (1.0 - u) + grid[row + 1, column + 1] * u
     return low * (1.0 - v) + high * v
 
 
@@ -302,13 +302,12 @@ def seconds_to_goal(problem: Problem, x: float, y: float) -> float:
 
 
 @inlined
-def _seconds_anywhere(problem: Problem, x: float, y: float) -> float:
-    """Cost-to-go at (x, y) as `seconds_to_goal`; beyond the border that of the border."""
-    togo, scalar = problem.togo, problem.scalar
+def value_anywhere(grid: Matrix32, scalar: Floats, x: float, y: float) -> float:
+    """Bilinear interpolation of cost-to-go or clearance field at (x, y); beyond the border that of the border."""
     u = (x - scalar[GRID_X]) * scalar[GRID_INVERSE] - 0.5
     v = (y - scalar[GRID_Y]) * scalar[GRID_INVERSE] - 0.5
-    u, v = min(max(u, 0.0), togo.shape[1] - 2.0), min(max(v, 0.0), togo.shape[0] - 2.0)
-    return _between(togo, u, v)
+    u, v = min(max(u, 0.0), grid.shape[1] - 2.0), min(max(v, 0.0), grid.shape[0] - 2.0)
+    return _between(grid, u, v)
 
 
 @compiled
@@ -318,17 +317,17 @@ def descend(problem: Problem, around: Matrix, near: float, points: Matrix) -> in
     The descent ends `near` the goal's centre (m), or where no step leads down.  Returns the number of points, 0 if the
     cost-to-go is infinite at the first one.
     """
-    x, y, count = points[0, 0], points[0, 1], 1
-    left = _seconds_anywhere(problem, x, y)
+    togo, scalar, x, y, count = problem.togo, problem.scalar, points[0, 0], points[0, 1], 1
+    left = value_anywhere(togo, scalar, x, y)
     if left >= UNREACHABLE:
         return 0
     while count < len(points):
-        dx, dy = x - problem.scalar[GOAL_X], y - problem.scalar[GOAL_Y]
+        dx, dy = x - scalar[GOAL_X], y - scalar[GOAL_Y]
         if math.sqrt(dx * dx + dy * dy) <= near:
             break
         best, least = 0, math.inf
         for k in range(len(around)):
-            seconds = _seconds_anywhere(problem, x + around[k, 0], y + around[k, 1])
+            seconds = value_anywhere(togo, scalar, x + around[k, 0], y + around[k, 1])
             if seconds < least:
                 best, least = k, seconds
         if least >= left:

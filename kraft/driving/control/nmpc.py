@@ -27,15 +27,15 @@ import numpy as np
 
 from kraft.driving.control.sampling import Updates, moved
 from kraft.driving.control_settings import Nmpc
-from kraft.driving.geodesic import interpolated
 from kraft.driving.messages import Controller, Estimate, Reference, ReferenceKind
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError, MissingDependency
 from kraft.provenance import install_command
 from kraft.vehicles.load import problem_of
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Cube, Floats, Matrix
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.clearance import cover
+from ompl_ext.kernels.half_planes import half_planes
 from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.solver import DirtSolver
 from ompl_ext.symbolic import NotSymbolicError, symbolic_derivative
@@ -77,7 +77,10 @@ class NmpcController:
         self._discs = cover(model.vehicle.footprint, settings.discs).discs
         self._problem = _Problem(settings, model, self._discs[:, :2])
         self._kernels = step_kernels(model.vehicle)
+        self._block = np.empty(self._kernels.block)  # working memory
         self._solution: Solution | None = None
+        half_planes()  # loaded here, before the vehicle drives
+        self._path: tuple[Reference, tuple[Floats, ...]] | None = None
         self._last = model.rest
         self._time = 0.0
         self._updates = Updates(settings.predicted_hz)
@@ -130,12 +133,14 @@ class NmpcController:
         if settings.objective == "plan":
             begins = estimate.time + settings.step * np.arange(settings.steps, dtype=np.float64)
             candidates.append(model.clamped(reference.controls_at(begins)))
-        controls, count = np.stack(candidates, axis=1), len(candidates)
-        states = np.empty((settings.steps + 1, count, len(model.vehicle.state)))
-        begin = np.asarray(estimate.state, dtype=float)
+        count, starts = len(candidates), np.array([estimate.state] * len(candidates), dtype=float)
+        controls = np.empty((settings.steps, count, len(model.low)))
+        for k, candidate in enumerate(candidates):
+            controls[:, k] = candidate
+        states = np.empty((settings.steps + 1, *starts.shape))
         self._kernels.simulate(
-            np.tile(begin, (count, 1)), controls, np.tile(model.parameters, (count, 1)),
-            np.full((settings.steps, count), settings.step), False, np.empty(self._kernels.block), states,
+            starts, controls, np.array([model.parameters] * count),
+            np.full((settings.steps, count), settings.step), False, self._block, states,
         )  # fmt: skip
         away = ((states[1:, :, [model.x, model.y]] - targets[:, None, :2]) ** 2).sum(axis=(0, 2))
         best = int(away.argmin())
@@ -148,35 +153,38 @@ class NmpcController:
         """
         settings, model = self._settings, self._model
         ahead = settings.step * np.arange(1, settings.steps + 1)
-        x, y, v = (reference.states[:, k] for k in (model.x, model.y, model.v))
-        theta = np.unwrap(reference.states[:, model.theta])
+        along, x, y, theta, v = self._path_of(reference)
         if settings.objective == "plan":
-            along, wanted = reference.times, estimate.time + ahead
+            wanted = estimate.time + ahead
             speeds = np.where(wanted <= reference.end, np.interp(wanted, along, v), 0.0)
         else:
-            along = np.concatenate([[0.0], np.hypot(np.diff(x), np.diff(y)).cumsum()])
             away = np.hypot(x - estimate.state[model.x], y - estimate.state[model.y])
             cruise = settings.cruise * model.vehicle.top_speed
             wanted = along[int(away.argmin())] + cruise * ahead
             speeds = np.full(len(ahead), cruise)
         return np.column_stack([*(np.interp(wanted, along, each) for each in (x, y, theta)), speeds])
 
-    def _planes(self, states: Matrix) -> Floats:
+    def _path_of(self, reference: Reference) -> tuple[Floats, ...]:
+        """Times of a plan or lengths along a path (m,), x, y, heading and speed there; kept while it is the same."""
+        if self._path is None or self._path[0] is not reference:
+            model, states = self._model, reference.states
+            x, y, v = (np.ascontiguousarray(states[:, k]) for k in (model.x, model.y, model.v))
+            along = reference.times
+            if self._settings.objective == "goal":
+                along = np.concatenate([[0.0], np.hypot(np.diff(x), np.diff(y)).cumsum()])
+            self._path = reference, (along, x, y, np.unwrap(states[:, model.theta]), v)
+        return self._path[1]
+
+    def _planes(self, states: Matrix) -> Cube:
         """Half-planes (steps, discs, 3) that the discs' centres stay in: normal and least distance along it."""
         model, problem = self._model, self._dirt.problem
         c, s = np.cos(states[:, model.theta]), np.sin(states[:, model.theta])
         ahead, aside, radius = self._discs[:, 0], self._discs[:, 1], self._discs[:, 2]
         x = states[:, model.x, None] + ahead * c[:, None] - aside * s[:, None]
         y = states[:, model.y, None] + ahead * s[:, None] + aside * c[:, None]
-        cell = 1.0 / float(problem.scalar[at.GRID_INVERSE])
-        around_x, around_y = np.stack([x, x + cell, x - cell, x, x]), np.stack([y, y, y, y + cell, y - cell])
-        here, right, left, above, below = interpolated(problem, problem.field, around_x, around_y)  # lower bounds, m
-        dx, dy = (right - left) / (2.0 * cell), (above - below) / (2.0 * cell)
-        slope = np.maximum(np.hypot(dx, dy), 1e-6)
-        required = radius + self._settings.margin + float(problem.scalar[at.DELTA])
-        slack = np.minimum(here, FAR) - required
-        nx, ny = dx / slope, dy / slope
-        return np.stack([nx, ny, nx * x + ny * y - slack], axis=2)
+        required, planes = radius + self._settings.margin + float(problem.scalar[at.DELTA]), np.empty((*x.shape, 3))
+        half_planes()(problem.field, problem.scalar, x, y, required, FAR, planes)
+        return planes
 
 
 class _Problem:
