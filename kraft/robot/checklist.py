@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from kraft.planning.feasibility import footprint_hit
+from kraft.robot.command import unit_problem, unit_warnings
 from kraft.robot.connect import open_transport
 from kraft.robot.inputs import Inputs
 from kraft.robot.maps import with_map
@@ -22,6 +23,7 @@ from kraft.robot.task_inputs import TaskInputs
 from kraft.robot.transport import Peers, Transport
 from kraft.scenario import Task
 from kraft.vehicles.config import load_vehicle_config
+from kraft.vehicles.identification_record import IdentificationRecord
 from ompl_ext.vehicle import Vehicle
 
 LISTENING: Final = 1.5
@@ -86,6 +88,7 @@ class Checklist:
         grid = None if self._tasks is None else self._tasks.take_map()
         checks += [*_check_place(_mean_pose(poses), with_map(spec.task, grid), spec.vehicle)]
         checks += [_check_model(spec.vehicle, is_simulated=self._robot.simulated), _check_priority()]
+        checks += _check_units(spec.vehicle, self._robot)
         if not peers.publishers:
             self._transport.advertise(topic, kind)
             self._wait_for_subscriber(is_cancelled)
@@ -218,10 +221,23 @@ def _check_place(pose: Pose | None, task: Task, vehicle: Vehicle) -> list[Check]
 def _check_model(vehicle: Vehicle, *, is_simulated: bool) -> Check:
     if is_simulated:
         return Check("model", "ok", f"{vehicle.name}, for a simulated robot")
-    identified = bool(vehicle.file) and load_vehicle_config(Path(vehicle.file)).identification is not None
-    if identified:
+    if _record(vehicle) is not None:
         return Check("model", "ok", f"{vehicle.name} is identified")
     return Check("model", "warning", f"{vehicle.name} states no identification: was it made for this car?")
+
+
+def _check_units(vehicle: Vehicle, robot: Robot) -> list[Check]:
+    """A problem or warnings if the robot may take other numbers than it is sent."""
+    if (problem := unit_problem(vehicle, robot)) is not None:
+        return [Check("units", "problem", problem)]
+    record = None if robot.simulated else _record(vehicle)
+    converted = {} if record is None or record.commands is None else record.commands
+    return [Check("units", "warning", text) for text in unit_warnings(vehicle, robot, converted)]
+
+
+def _record(vehicle: Vehicle) -> IdentificationRecord | None:
+    """Record of the identification in the file of a vehicle, if there is one."""
+    return load_vehicle_config(Path(vehicle.file)).identification if vehicle.file else None
 
 
 def _check_priority() -> Check:

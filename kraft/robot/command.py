@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -13,8 +14,15 @@ from kraft.errors import Code, InputError
 from kraft.robot.messages import ACKERMANN, JOINTS, header, joints, make
 from kraft.robot.robot_file import Robot
 from kraft.vehicles import CAR_CONTROLS, is_car
+from kraft.vehicles.identification_record import CommandScale
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
+
+ANY_UNIT: Final = "full_steering"
+"""Parameter of a car whose commands are in any unit, those of the logs that it was identified from."""
+WHEELBASE: Final = "L"
+DOUBTFUL: Final = 2.0
+"""Factor between the steering that is sent and the angle of the model's wheels from which on the unit is in doubt."""
 
 
 def limited(vehicle: Vehicle, robot: Robot) -> Vehicle:
@@ -46,9 +54,58 @@ def limited(vehicle: Vehicle, robot: Robot) -> Vehicle:
             raise InputError([robot.source.diagnostic("limits.speed", problem, expected, code=Code.MISMATCH)])
         bounds["throttle"], top = (low, most), min(top, limits.speed)
     if limits.steering_deg is not None:
-        (low, high), most = bounds["steering"], math.radians(limits.steering_deg)
-        bounds["steering"] = max(low, -most), min(high, most)
+        (low, high), (least, most) = bounds["steering"], _steering_up_to(vehicle, math.radians(limits.steering_deg))
+        bounds["steering"] = max(low, least), min(high, most)
     return replace(vehicle, controls=bounds, top_speed=top)
+
+
+def _steering_up_to(vehicle: Vehicle, angle: float) -> tuple[float, float]:
+    """Steering at which the wheels turn by an angle (rad) to the right and to the left."""
+    if ANY_UNIT not in vehicle.parameters:
+        return -angle, angle
+    model, bend = CarModel(vehicle), math.tan(angle) / vehicle.parameters[WHEELBASE]
+    return model.steering_for(-bend), model.steering_for(bend)
+
+
+def unit_problem(vehicle: Vehicle, robot: Robot) -> str | None:
+    """What is wrong if steering is sent that is no angle in radians; None if it may be one."""
+    if robot.command.type == JOINTS or not is_car(vehicle) or (sent := _largest_angle(vehicle, robot)) <= 0.5 * math.pi:
+        return None
+    problem = f"steering of up to {sent:.4g} would be sent as radians: {vehicle.name} has it in another unit"
+    return f"{problem}; state command.steering.scale in the robot file, {math.radians(1.0):.4f} if it is degrees"
+
+
+def unit_warnings(vehicle: Vehicle, robot: Robot, converted: Mapping[str, CommandScale]) -> Iterator[str]:
+    """What is doubtful of the numbers that are sent.
+
+    `converted` are the commands whose numbers in the logs were not those that the identified model takes.
+    """
+    is_angle = robot.command.type != JOINTS and is_car(vehicle)
+    if is_angle and WHEELBASE in vehicle.parameters:
+        sent, turns = _largest_angle(vehicle, robot), CarModel(vehicle)
+        bend = max(abs(turns.curvature(edge)) for edge in vehicle.controls["steering"])
+        wheels = math.atan(bend * vehicle.parameters[WHEELBASE])
+        if not wheels / DOUBTFUL <= sent <= wheels * DOUBTFUL:
+            doubt = (
+                f"steering of up to {sent:.2g} rad is sent, at which the wheels of {vehicle.name} turn by {wheels:.2g}"
+            )
+            yield f"{doubt} rad: is command.steering.scale right?"
+    factors = {"throttle": robot.command.speed.scale, "steering": robot.command.steering.scale} if is_angle else {}
+    for name, record in converted.items():
+        is_speed = name == "throttle" and is_angle and robot.command.speed.unit == "m/s"
+        is_inverse = record.neutral == 0.0 and math.isclose(factors.get(name, 1.0) * record.scale, 1.0, rel_tol=0.05)
+        if not is_speed and not is_inverse:
+            yield (
+                f"{name} is not sent in the numbers of the logs, of which {record.neutral:g} is neutral: the model has "
+                f"(number - {record.neutral:g}) {record.scale:g}; does the robot take what is sent?"
+            )
+
+
+def _largest_angle(vehicle: Vehicle, robot: Robot) -> float:
+    """Largest steering angle that a robot is sent, rad."""
+    steering = robot.command.steering
+    offset = math.radians(steering.offset_deg)
+    return max(abs(steering.scale * edge + offset) for edge in vehicle.controls["steering"])
 
 
 def check_controls(vehicle: Vehicle, robot: Robot) -> None:

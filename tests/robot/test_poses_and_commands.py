@@ -17,7 +17,7 @@ from kraft.driving.method import load_method
 from kraft.driving.references import manoeuvre_reference
 from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
-from kraft.robot.command import CommandCodec, limited
+from kraft.robot.command import CommandCodec, limited, unit_problem, unit_warnings
 from kraft.robot.control import Control
 from kraft.robot.drive import Planner, changed, check_method, on_the_clock
 from kraft.robot.health import Health
@@ -34,7 +34,9 @@ from kraft.robot.timebase import TopicClock
 from kraft.robot.tracker import Tracker
 from kraft.robot.world import clock_message
 from kraft.scenario import OccupancyMap, load_scenario
+from kraft.vehicles.identification_record import CommandScale
 from kraft.vehicles.load import load_vehicle
+from ompl_ext.vehicle import Vehicle
 
 LATENCY = 0.01
 HERE = (1.0, 2.0, 0.5)
@@ -108,6 +110,51 @@ def test_limits_bound_what_is_planned() -> None:
     assert model.steady_speed(float(model.high[model.throttle])) == pytest.approx(0.3, rel=0.01)
     assert slow.controls["steering"] == pytest.approx((-math.radians(10), math.radians(10)))
     assert slow.controls["throttle"][0] == load_vehicle("f1tenth").controls["throttle"][0], "it brakes as before"
+
+
+def in_degrees() -> Vehicle:
+    """The car with terms, identified from logs whose steering was in degrees."""
+    car = load_vehicle("car-lag")
+    controls = {"throttle": (-1.0, 1.0), "steering": (-20.0, 20.0)}
+    return replace(car, controls=controls, parameters={**car.parameters, "full_steering": 20.0})
+
+
+def test_steering_that_is_no_angle_in_radians_is_not_sent_as_one() -> None:
+    problem = unit_problem(in_degrees(), robot())
+    assert problem is not None
+    assert "command.steering.scale" in problem
+    in_radians = robot(command=command(steering={"scale": math.radians(1.0)}))
+    assert unit_problem(in_degrees(), in_radians) is None
+    assert not list(unit_warnings(in_degrees(), in_radians, {}))
+    assert unit_problem(in_degrees(), robot(command=command(type="sensor_msgs/msg/JointState"))) is None
+
+
+@pytest.mark.parametrize("name", ["mushr", "mushr-lag", "mushr-force", "f1tenth"])
+def test_the_units_of_the_bundled_cars_are_not_in_doubt(name: str) -> None:
+    assert unit_problem(load_vehicle(name), robot()) is None
+    assert not list(unit_warnings(load_vehicle(name), robot(), {}))
+
+
+def test_a_steering_far_from_the_angle_of_the_wheels_is_doubtful() -> None:
+    (warning,) = unit_warnings(load_vehicle("car"), robot(), {})  # a share of the full steering
+    assert "1 rad is sent" in warning
+
+
+def test_commands_that_were_converted_are_doubtful_unless_the_robot_file_has_the_inverse() -> None:
+    car = load_vehicle("f1tenth")
+    flipped = {"steering": CommandScale(neutral=0.0, scale=-1.0)}
+    pulses = {"throttle": CommandScale(neutral=1500.0, scale=0.002)}
+    assert len(list(unit_warnings(car, robot(), {**flipped, **pulses}))) == 2
+    assert not list(unit_warnings(car, robot(command=command(steering={"scale": -1.0})), flipped))
+    assert not list(unit_warnings(car, robot(command=command(speed={"unit": "m/s"})), pulses))
+
+
+def test_a_limit_of_the_steering_is_one_of_the_wheels_whatever_the_unit_of_the_commands() -> None:
+    slow = limited(in_degrees(), robot(limits={"steering_deg": 10.0}))
+    low, high = slow.controls["steering"]
+    assert 8.0 < high < 12.0
+    wheels = [math.atan(slow.parameters["L"] * CarModel(slow).curvature(edge)) for edge in (low, high)]
+    assert np.degrees(wheels) == pytest.approx([-10.0, 10.0], rel=0.02)
 
 
 def test_methods_without_a_contingency_on_board_may_not_drive_a_robot() -> None:
