@@ -146,7 +146,7 @@ class QueryTree(EdgeChecker):
         The edge in progress is kept in part.  An edge that collides, is not safe, or has a control beyond the vehicle's
         bounds is omitted, with all after it.
         """
-        return self.retain_edges(*remaining_edges(plan.controls, plan.durations, elapsed))
+        return self.retain_edges(*remaining_edges(plan.controls, plan.durations, elapsed, self.settings.longest))
 
     def retain_edges(
         self,

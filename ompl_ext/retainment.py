@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -78,16 +79,23 @@ def _most_promising(tree: Tree, path: Bools, limit: int) -> Ints:
     return np.flatnonzero(keep & ~path)
 
 
-def remaining_edges(controls: Floats, durations: Floats, elapsed: float) -> tuple[list[int], Floats, Floats]:
+def remaining_edges(
+    controls: Floats, durations: Floats, elapsed: float, longest: float = math.inf
+) -> tuple[list[int], Floats, Floats]:
     """Parents, controls and durations of the edges that remain of a path after `elapsed` s.
 
-    `controls` has shape (edges, nu), `durations` (edges,).  The edge in progress remains in part.  Parents are indices
-    of edges, -1 for the root.
+    `controls` has shape (edges, nu), `durations` (edges,).  The edge in progress remains in part.  An edge that lasts
+    more than `longest` s, of a tree with longer ones, becomes several: steps of the integrator are shares of an edge.
+    Parents are indices of edges, -1 for the root.
     """
     ends = np.cumsum(durations)
     left = ends > elapsed + 1e-9
     durations = np.minimum(durations, ends - elapsed)[left]
-    return list(range(-1, len(durations) - 1)), controls[left], durations
+    pieces = np.maximum(np.ceil(durations / longest - 1e-9), 1.0).astype(np.int64)
+    last = np.cumsum(pieces) - 1
+    controls, divided = np.repeat(controls[left], pieces, axis=0), np.repeat(np.minimum(durations, longest), pieces)
+    divided[last] = durations - (pieces - 1) * divided[last]
+    return list(range(-1, len(divided) - 1)), controls, divided
 
 
 def edges_to_retain(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support.kernels import (
     BENCHMARK,
+    DEFAULT,
     GOAL,
     NO_SAFETY,
     START,
@@ -121,6 +122,21 @@ def test_an_edge_with_a_control_beyond_the_bounds_is_dropped_with_all_after_it()
     assert (weak.retained_nodes[:first] >= 0).all()
     assert (weak.retained_nodes[first:] == -1).all()
     assert weak.tree().controls[:, 0].max() <= 0.9
+
+
+def test_an_edge_longer_than_the_longest_becomes_several_on_the_same_way() -> None:
+    slow = turns(settings=replace(DEFAULT, shortest=1.0, longest=2.0, steps=20))
+    plan = planned(slow, 3000)
+    assert plan.durations.max() > 1.2
+    dirt = turns()
+    dirt.start(plan.states[0], 1)
+    pieces = int(np.ceil(plan.durations / dirt.settings.longest - 1e-9).sum())
+    assert dirt.retain(plan) == pieces > len(plan.durations)
+    again = dirt.plan()
+    assert again is not None
+    assert again.durations.max() <= dirt.settings.longest + 1e-9
+    assert again.cost == pytest.approx(plan.cost)
+    np.testing.assert_allclose(again.states[-1], plan.states[-1], atol=1e-5)
 
 
 def test_verification_finds_a_control_beyond_the_bounds() -> None:
