@@ -191,7 +191,7 @@ def run_table(run: Run) -> list[tuple[str, str]]:
         *([] if result.cause is None else [("cause", f"{result.cause.kind}: {result.cause.text}")]),
         ("clearance", f"{metres(result.min_clearance, '-')} at least"),
         *([("outside", f"of the bounds by up to {metres(outside)}: there is no wall")] if outside > 0.0 else []),
-        ("cycles", f"{len(result.cycles)}, {result.contingencies} of them with the contingency"),
+        ("cycles", cycles_text(result)),
         *measures_table(result.measures, result.contingencies),
     ]
     if planning:
@@ -207,6 +207,13 @@ def run_table(run: Run) -> list[tuple[str, str]]:
     outputs = run.request.outputs
     made = (("film", outputs.video), ("picture", outputs.plot), ("bag", outputs.bag), ("written to", run.request.out))
     return rows + [(name, str(path)) for name, path in made if path is not None]
+
+
+def cycles_text(result: TrialResult) -> str:
+    """Number of cycles and of contingencies, and how many of them the trial ended before: they were not driven."""
+    text = f"{len(result.cycles)}, {result.contingencies} of them with the contingency"
+    ahead = sum(cycle.time > result.time for cycle in result.cycles)
+    return text + (f"; {ahead} decided, but not begun before the end" if ahead else "")
 
 
 def _controller_row(spec: TrialSpec) -> list[tuple[str, str]]:
@@ -271,7 +278,7 @@ def measures_table(measures: Measures, contingencies: int) -> list[tuple[str, st
 
 
 def cycle_line(cycle: Cycle) -> str:
-    """Progress line of a cycle: time, speed, cost to goal, clearance, what was committed and why."""
+    """Progress line of a cycle: its start, speed, cost to goal, clearance, what was committed and why."""
     to_goal = f"{cycle.cost_to_goal:5.2f} s" if math.isfinite(cycle.cost_to_goal) else "  -    "
     reason = f": {cycle.reason}" if cycle.reason else ""
     return (

@@ -7,6 +7,7 @@ import json
 import math
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,7 +24,7 @@ from kraft.trial.result import TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
-from kraft_cli.work.run import RunRequest, cycle_line, outside_bounds, run_scenario, run_table
+from kraft_cli.work.run import RunRequest, cycle_line, cycles_text, outside_bounds, run_scenario, run_table
 
 KEYS = {
     "scenario", "method", "seed", "outcome", "t_ex_s", "cycles", "contingencies", "min_clearance_m", "planning_ms_p50",
@@ -79,6 +80,14 @@ def test_the_table_repeats_a_warning_of_before_the_drive(capsys: pytest.CaptureF
     out, err = capsys.readouterr()
     (told,) = [line.removeprefix("warning: ") for line in err.splitlines() if line.startswith("warning: ")]
     assert re.search(rf"^warning +{re.escape(told)}$", out, re.MULTILINE)
+
+
+def test_a_cycle_that_the_trial_ends_before_is_counted_and_said_to_be_not_driven() -> None:
+    run = run_scenario(RunRequest("short.yaml"), lambda _: None)
+    cycles, ahead = run.result.cycles, replace(run.result, time=run.result.cycles[-1].time - 0.05)
+    assert cycles_text(replace(run.result, time=cycles[-1].time)) == f"{len(cycles)}, 0 of them with the contingency"
+    assert cycles_text(ahead).startswith(f"{len(cycles)}, ")
+    assert cycles_text(ahead).endswith("; 1 decided, but not begun before the end")
 
 
 def test_the_folder_holds_every_tick_cycle_and_observation(capsys: pytest.CaptureFixture[str]) -> None:
