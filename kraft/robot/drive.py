@@ -33,6 +33,7 @@ from kraft.planning.feasibility import geodesic_time, goal_hit
 from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
 from kraft.robot.guard import run_guard
+from kraft.robot.journal import add_event
 from kraft.robot.maps import run_maps, with_map
 from kraft.robot.priority import preferred_planner, process_context, short_collections, shorten_collections
 from kraft.robot.protocol import (
@@ -63,6 +64,8 @@ JOIN_TIME: Final = 5.0
 """Time to wait for the end of the controller's process, s."""
 GUARD_JOIN_TIME: Final = 12.0
 """Time to wait for the end of the brake guard, which stops the vehicle if the controller has ended before, s."""
+ABANDON_TIME: Final = 3.0
+"""Longest time after the second signal to write and to say what is known, s."""
 
 
 @dataclass
@@ -215,10 +218,11 @@ def _drive_in_processes(
 
     def abandon(number: int) -> None:
         process.kill()
+        reason = "a second signal ended planner and controller, and the brake guard stops the vehicle"
+        unwritten = add_event(spec.folder, known.decisions.last, reason)
         if on_abandon is not None:
-            reason = "a second signal ended planner and controller, and the brake guard stops the vehicle"
             ended = Ended("interrupted", reason, known.decisions.last)
-            on_abandon(DriveResult(known.checked, ended, known.decisions, signal=number))
+            on_abandon(DriveResult(known.checked, ended, known.decisions, unwritten, signal=number))
 
     try:
         with preferred_planner(), _interrupts(lambda: send(StopOrder("by a signal")), abandon) as received:
@@ -444,10 +448,11 @@ def _interrupts(stop: Callable[[], None], abandon: Callable[[int], None]) -> Ite
             if byte[0] in heeded:
                 received.append(byte[0])
                 if len(received) > 1:
-                    try:
-                        abandon(byte[0])
-                    finally:
-                        os._exit(128 + byte[0])
+                    # in a thread, as a disk or a terminal that does not answer must not keep this process
+                    last = threading.Thread(target=abandon, args=(byte[0],), name="abandoned drive", daemon=True)
+                    last.start()
+                    last.join(ABANDON_TIME)
+                    os._exit(128 + byte[0])
                 stop()
 
     watcher = threading.Thread(target=watch, name="interrupts", daemon=True)

@@ -8,11 +8,13 @@ import queue
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from kraft.errors import InputError
 from kraft.files import LineFile, unwritable
 from ompl_ext.vehicle import Vehicle
+
+EVENTS: Final = ["time", "event"]
 
 
 class Journal:
@@ -76,6 +78,20 @@ def _line(values: Sequence[Any]) -> bytes:
     return text.getvalue().encode()
 
 
+def add_event(folder: Path | None, time: float, text: str) -> tuple[str, ...]:
+    """Add what happened at a time (s) for a controller that was killed; why that was not possible, else nothing."""
+    if folder is None:
+        return ()
+    path = folder / "events.csv"
+    try:
+        with path.open("ab") as file:
+            rows = [] if file.tell() else [EVENTS]
+            file.write(b"".join(_line(row) + b"\n" for row in (*rows, (f"{time:.3f}", text))))
+    except OSError as error:
+        return (str(unwritable(path, error)),)
+    return ()
+
+
 def headings(vehicle: Vehicle) -> dict[str, list[str]]:
     """Headings of the tables that the controller writes."""
     return {
@@ -83,5 +99,5 @@ def headings(vehicle: Vehicle) -> dict[str, list[str]]:
                   *(f"command_{name}" for name in vehicle.controls), "cycle", "stopping", "pose_age",
                   "late", "work"],
         "observations": ["time", "arrival", "x", "y", "theta"],
-        "events": ["time", "event"],
+        "events": EVENTS,
     }  # fmt: skip

@@ -121,7 +121,7 @@ def drive_robot(
 
             result = drive(
                 spec, on_check, on_cycle, on_status, display.sensed, keep_trees=display.draws_trees,
-                on_abandon=lambda known: _write_result(Driven(request, spec, known)),
+                on_abandon=lambda known: _abandoned(Driven(request, spec, known, known.unwritten), problem),
             )  # fmt: skip
     except (InputError, MissingError):
         if out is not None:
@@ -140,6 +140,16 @@ def _write_result(driven: Driven) -> Driven:
     except InputError as error:  # the result is printed
         return replace(driven, unwritten=(*driven.unwritten, str(error)))
     return driven
+
+
+def _abandoned(driven: Driven, problem: Callable[[str], None]) -> None:
+    """Write what is known at the second signal, and say where."""
+    written, ended = _write_result(driven), driven.result.ended
+    assert ended is not None, "it was interrupted"
+    for text in (ended.reason, *written.unwritten):
+        problem(text)
+    if driven.request.out is not None:
+        problem(f"written to {driven.request.out}: the drive up to now")
 
 
 def _remove_undriven(out: Path) -> None:

@@ -96,6 +96,9 @@ def test_the_second_interrupt_ends_at_once_and_writes_what_is_known(tmp_path: Pa
         assert rig.until(lambda: rig.process.poll() is not None, 5.0)
         assert rig.process.returncode == 130
         assert rig.stands(6.0)
+        _, errors = rig.process.communicate()
+        assert f"written to {tmp_path / 'out'}" in errors.splitlines()[-1]
+        assert "a second signal" in rig.events[-1]
         result = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
         assert (result["outcome"], result["reason"][:15]) == ("interrupted", "a second signal")
         assert result["cycles"] >= 1
