@@ -61,6 +61,8 @@ STANDS: Final = 0.02
 """Speed below which the car stands, m/s."""
 COASTING: Final = 3.0
 """Longest time for which the world goes on after the goal, s."""
+SILENT: Final = 3.0
+"""Time without a command after which the world says that it may wait in vain, s."""
 BEHIND: Final = 1.0
 """Delay of the simulation behind the clock beyond which it gives up catching up, s."""
 
@@ -117,7 +119,7 @@ class RobotWorld:
         self._approach = ClosestApproach(exact.distance, vehicle.footprint.reach)
         self._held = np.zeros(len(vehicle.controls))
         self._last_command: int | None = None
-        self._stopped = True
+        self._stopped, self._waits = True, False
         self._commands = self.mux_stops = 0
         self._behind = self._lag = self._lost = 0.0
         self._began = False
@@ -145,6 +147,7 @@ class RobotWorld:
         speed: float = 1.0,
         *,
         stays: bool = False,
+        report: Callable[[str], None] = lambda _: None,
     ) -> WorldResult:
         """Simulate in real time until the goal, a collision or the time limit of the scenario.
 
@@ -155,9 +158,10 @@ class RobotWorld:
             patience: time to wait for that command, s.
             speed: seconds of the simulation in a second of the clock; others than 1 take a robot with a `clock`.
             stays: go on after the goal or the time limit until `cancelled` is set.
+            report: receives a message when the drive begins, when commands stay away, and when they are back.
         """
         assert speed == 1.0 or self._robot.clock is not None, "others must know the time"
-        self._speed = speed
+        self._speed, self._report = speed, report
         with short_collections():
             return self._run(on_step, patience, stays)
 
@@ -247,9 +251,13 @@ class RobotWorld:
             control, _ = self._future.popleft()
             self._commands += 1
             self._last_command, self._stopped = steps, False
+            if self._waits:
+                self._waits = False
+                self._report(f"{self.world.time:6.2f} s  commands arrive again")
             self._delayed.append((steps + delay, control))
             if not self._began and np.abs(control[self._driving]).max(initial=0.0) > MOVES:
                 self._began = True
+                self._report("the first command that moves the car has arrived: the drive begins")
         while self._delayed and self._delayed[0][0] <= steps:
             self._held = self._delayed.popleft()[1]
             self.world.apply(self._held[self._order])
@@ -259,6 +267,18 @@ class RobotWorld:
                 self._stopped = True
                 self.mux_stops += 1
             self.world.apply(self._braking()[self._order])
+            if silence > SILENT and not self._waits:
+                self._waits = True
+                self._report(self._why_it_waits())
+
+    def _why_it_waits(self) -> str:
+        """What to say when commands stay away: the drive may have ended by its estimate, which is not known here."""
+        now = self.world.time
+        left = max(0.0, self._scenario.trial.timeout - now) / self._speed
+        return (
+            f"{now:6.2f} s  no command for {SILENT:g} s, and the car is not in the goal: if the drive has ended, the "
+            f"standing car is simulated until the time limit all the same, {left:.0f} s from now"
+        )
 
     @property
     def _driving(self) -> list[int]:

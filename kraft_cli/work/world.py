@@ -71,7 +71,7 @@ def simulate(
             if on_open is not None:
                 on_open(world)
             watched = outputs.on_step if request.video or request.view else None
-            result = world.run(watched, speed=request.speed, stays=on_open is not None)
+            result = world.run(watched, speed=request.speed, stays=on_open is not None, report=report)
             outputs.finish(_as_trial(result))
     finally:
         transport.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from typing import Any
@@ -55,8 +56,15 @@ class Wire:
         return None
 
 
-def driven(at_one_second: Callable[[Callable[[], None]], None]) -> tuple[Wire, WorldResult, list[tuple[float, float]]]:
-    """A drive straight on; `at_one_second` is called once, in the thread that simulates, with what stops the car."""
+def driven(
+    at_one_second: Callable[[Callable[[], None]], None],
+    silent: tuple[float, float] = (0.0, 0.0),
+    report: Callable[[str], None] = lambda _: None,
+) -> tuple[Wire, WorldResult, list[tuple[float, float]]]:
+    """A drive straight on, without commands in an interval (s).
+
+    `at_one_second` is called once, in the thread that simulates, with what stops the car.
+    """
     scenario, robot, wire = load_scenario("boxes"), load_robot("sim").model_copy(update={"clock": None}), Wire()
     vehicle = vehicle_of_task(scenario)
     codec = CommandCodec(robot, vehicle)
@@ -74,7 +82,7 @@ def driven(at_one_second: Callable[[Callable[[], None]], None]) -> tuple[Wire, W
     def on_step(true: TrueWorld, step: Step) -> None:
         nonlocal called
         speeds.append((true.time, true.speed))
-        if true.time < 1.0 or called:
+        if (true.time < 1.0 or called) and not silent[0] < true.time < silent[1]:
             send(control)
         if not called and true.time >= 1.0:
             called = True
@@ -83,7 +91,7 @@ def driven(at_one_second: Callable[[Callable[[], None]], None]) -> tuple[Wire, W
             world.cancelled = True
 
     send(control)
-    return wire, world.run(on_step, patience=5.0), speeds
+    return wire, world.run(on_step, patience=5.0, report=report), speeds
 
 
 def test_a_stalled_simulation_catches_up_and_its_poses_are_those_of_a_robot_that_did_not_stall() -> None:
@@ -103,6 +111,17 @@ def test_a_command_that_arrives_during_a_stall_acts_at_its_arrival() -> None:
     _, _, speeds = driven(stall)
     before = [speed for at, speed in speeds if 1.0 <= at <= 1.15]  # the multiplexer stops the car 0.2 s after it
     assert np.all(np.diff(before) > -0.01)
+
+
+def test_the_world_tells_when_the_drive_begins_and_how_long_it_waits_without_commands(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(robot_world, "SILENT", 0.5)
+    told: list[str] = []
+    driven(lambda stop: None, silent=(0.2, 0.9), report=told.append)
+    assert told[0].endswith("the drive begins")
+    assert re.search(r"^  0\.\d\d s  no command for 0\.5 s.* 59 s from now$", told[1])
+    assert told[2].endswith("commands arrive again")
 
 
 def test_a_simulation_that_cannot_keep_up_says_how_much_it_lost(monkeypatch: pytest.MonkeyPatch) -> None:
