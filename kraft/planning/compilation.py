@@ -27,7 +27,6 @@ from ompl_ext.kernels.posetogo import compile_pose_cost_to_go
 from ompl_ext.kernels.specialise import (
     are_steps_cached,
     is_cached,
-    is_layout_cached,
     is_module_cached,
     is_polish_cached,
     kernels,
@@ -69,19 +68,18 @@ def ensure_compiled(
     steps = steps and not are_steps_cached(vehicle)
     polish = (polish or heading) and not is_polish_cached(vehicle)
     heading = heading and not _marker(HEADING).exists()
-    known = is_layout_cached(vehicle, "checks"), is_layout_cached(vehicle, "gauss_newton")
-    missing = [(f"the planner and the model of {vehicle.name}", 4 if known[0] else 16)] if planner else []
-    missing += [(f"the steps of the model of {vehicle.name}", 2)] if steps else []
-    missing += [("the identification and the pose filter", 8)] if identification else []
-    missing += [(f"the local optimisation for {vehicle.name}", 1 if known[1] else 12)] if polish else []
+    missing = [f"the planner and the model of {vehicle.name}"] if planner else []
+    missing += [f"the steps of the model of {vehicle.name}"] if steps else []
+    missing += ["the identification and the pose filter"] if identification else []
+    missing += [f"the local optimisation for {vehicle.name}"] if polish else []
     others = [name for name in modules if not is_module_cached(vehicle, name)]
-    missing += [(f"{OPTIONAL[name]} for {vehicle.name}", 6) for name in others]
-    missing += [("the planner for goals with a heading", 8)] if heading else []
-    missing += [("the maps' kernels", 10)] if maps else []
+    missing += [f"{OPTIONAL[name]} for {vehicle.name}" for name in others]
+    missing += ["the planner for goals with a heading"] if heading else []
+    missing += ["the maps' kernels"] if maps else []
     if not missing:
         return
-    names = " and ".join(name for name, _ in missing)
-    report(f"compiling {names} for this machine: once, about {sum(seconds for _, seconds in missing)} s ...")
+    # no estimate: what else the machine does makes it three times as long
+    report(f"compiling {' and '.join(missing)} for this machine, once: this may take a minute ...")
     began = time.perf_counter()
     if planner:
         _exercise(vehicle)

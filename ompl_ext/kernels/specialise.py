@@ -220,22 +220,12 @@ def layout_module_of(vehicle: Vehicle, source: str) -> ModuleType:
     module = sys.modules.get(name)
     if module is None:
         module = _execute_as(name, source, _being_compiled.layouts, layout)
-        _layout_marker(layout, source).touch()
     return module
-
-
-def is_layout_cached(vehicle: Vehicle, source: str) -> bool:
-    """Whether `layout_module_of` has or loads machine code instead of compiling it."""
-    return _layout_marker(_layout(vehicle), source).exists()
 
 
 def _layout(vehicle: Vehicle) -> Layout:
     x, y, theta = (vehicle.index(name) for name in ("x", "y", "theta"))
     return Layout(len(vehicle.state), len(vehicle.controls), x, y, theta, vehicle.rest_indices)
-
-
-def _layout_marker(layout: Layout, source: str) -> Path:
-    return layout_cache_folder(layout) / f"{source}-complete"
 
 
 def layout_cache_folder(layout: Layout) -> Path:

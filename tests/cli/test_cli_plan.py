@@ -163,9 +163,7 @@ def test_the_first_run_says_that_it_compiles_and_a_quiet_one_does_not(
     monkeypatch.setattr(kernel_cache, "is_cached", lambda _: False)
     assert main(["plan", "room.yaml"]) == 0
     lines = capsys.readouterr().err.splitlines()
-    assert re.fullmatch(
-        r"compiling the planner and the model of mushr for this machine: once, about \d+ s \.\.\.", lines[0]
-    )
+    assert lines[0] == "compiling the planner and the model of mushr for this machine, once: this may take a minute ..."
     assert lines[1].startswith("compiled in ")
     assert main(["plan", "room.yaml", "-q"]) == 0
     assert capsys.readouterr().err == ""
