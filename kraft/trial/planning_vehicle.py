@@ -114,7 +114,8 @@ def other_robot(scenario: Scenario, vehicle: Vehicle) -> str:
     return (
         f"the true robot is the MuSHR ({MUSHR_SIZE[0]:g} m x {MUSHR_SIZE[1]:g} m, top speed {top_speed:.2g} m/s) "
         f"because neither the scenario nor the file of {vehicle.name} ({shape.length:g} m x {shape.width:g} m, "
-        f"top speed {vehicle.top_speed:.2g} m/s) states another (truth)"
+        f"top speed {vehicle.top_speed:.2g} m/s) states another, such as truth: {{car: {{length: {shape.length:g}, "
+        f"width: {shape.width:g}, drive: {{top_speed: {vehicle.top_speed:.2g}, time_constant: 0.5}}}}}}"
     )
 
 

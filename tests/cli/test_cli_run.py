@@ -80,6 +80,7 @@ def test_the_table_repeats_a_warning_of_before_the_drive(capsys: pytest.CaptureF
     out, err = capsys.readouterr()
     (told,) = [line.removeprefix("warning: ") for line in err.splitlines() if line.startswith("warning: ")]
     assert re.search(rf"^warning +{re.escape(told)}$", out, re.MULTILINE)
+    assert err.index(told) < err.index(" m/s  to goal "), "before the first cycle too"
 
 
 def test_a_cycle_that_the_trial_ends_before_is_counted_and_said_to_be_not_driven() -> None:
