@@ -72,6 +72,7 @@ def discover(
     A log that is found more than once is returned once, with a problem that reports it.
     """
     found: list[Candidate] = []
+    roots: list[Path] = []
     problems: list[Diagnostic] = []
     loose: dict[tuple[Path, int], list[Path]] = {}
     given: Counter[Path] = Counter()
@@ -80,6 +81,7 @@ def discover(
             if path.is_dir():
                 inside, unread = _nonempty(path, controls, mapping)
                 found += inside
+                roots += [path] * len(inside)
                 problems += unread
             else:
                 _check_file(path)
@@ -89,13 +91,13 @@ def discover(
             problems += error.diagnostics
         except OSError as error:
             problems.append(unreadable(path, error))
-    for (
-        folder,
-        _,
-    ), files in loose.items():  # files of one folder may form a log; a file given twice does not pair with itself
-        found += _logs_of(files, folder, controls, mapping, problems)
+    for (folder, _), files in loose.items():  # files of one folder may form a log; one given twice not with itself
+        inside = _logs_of(files, folder, controls, mapping, problems)
+        found += inside
+        roots += [folder] * len(inside)
+    found, unpaired_files = _across_folders(found, roots, controls, mapping)
     found, repeated = without_repeated(found)
-    return _named_apart(found), problems + repeated
+    return _named_apart(found), problems + unpaired_files + repeated
 
 
 def check_paths(paths: Sequence[Path]) -> None:
@@ -136,7 +138,7 @@ def unreadable(path: Path, error: OSError) -> Diagnostic:
 def _nonempty(folder: Path, controls: Sequence[str], mapping: Mapping) -> tuple[list[Candidate], list[Diagnostic]]:
     """Logs of a folder, and the problems of its subfolders that cannot be read."""
     problems: list[Diagnostic] = []
-    found = _across_folders(_scan(folder, folder, controls, mapping, 0, problems), folder, controls, mapping)
+    found = _scan(folder, folder, controls, mapping, 0, problems)
     if not found and not problems:
         names = sorted(path.name for path in folder.iterdir())
         content = (
@@ -171,19 +173,31 @@ def _scan(
     return found
 
 
-def _across_folders(found: list[Candidate], root: Path, controls: Sequence[str], mapping: Mapping) -> list[Candidate]:
-    """The candidates, those of single files joined that are commands and poses of a drive in folders of their own."""
-    commands: list[Path] = []
-    poses: list[Path] = []
-    for candidate in found:
-        if candidate.kind == "csv" and len(candidate.files) == 1 and candidate.files[0].parent != root:
+def _across_folders(
+    found: Sequence[Candidate], roots: Sequence[Path], controls: Sequence[str], mapping: Mapping
+) -> tuple[list[Candidate], list[Diagnostic]]:
+    """The candidates, those of single files joined that are commands and poses of a drive in folders of their own.
+
+    Files of such folders that do not pair are one problem and no candidates.  `roots` are the folders that the names of
+    the candidates begin at.
+    """
+    single: dict[Path, int] = {}  # a file that is found again does not pair
+    kinds: tuple[list[Path], list[Path]] = ([], [])
+    for i, candidate in enumerate(found):
+        if candidate.kind == "csv" and len(candidate.files) == 1 and candidate.files[0] not in single:
             has_commands, has_poses = _offers(candidate.files[0], controls, mapping)
             if has_commands != has_poses:
-                (commands if has_commands else poses).append(candidate.files[0])
-    pairs = pair_across_folders(commands, poses)
-    used = {path for pair in pairs for path in pair}
-    joined = [Candidate(_shared_name(pair, root), "csv", pair) for pair in pairs]
-    return [*(c for c in found if c.files[0] not in used), *joined]
+                kinds[0 if has_commands else 1].append(candidate.files[0])
+                single[candidate.files[0]] = i
+    pairs, left = pair_across_folders(*kinds)
+    used = {single[path] for pair in pairs for path in pair}
+    lost = {path for files in left.values() for kind in files for path in kind}
+    joined = []
+    for pair in pairs:
+        first, second = (roots[single[path]] for path in pair)
+        joined.append(Candidate(_shared_name(pair, first if first == second else pair[0].parent.parent), "csv", pair))
+    rest = [c for i, c in enumerate(found) if i not in used and not (len(c.files) == 1 and c.files[0] in lost)]
+    return [*rest, *joined], [unpaired(folder, *files) for folder, files in left.items()]
 
 
 def _logs_of(

@@ -8,6 +8,7 @@ from typing import Final
 
 from kraft.errors import Code, Diagnostic
 from kraft.logs.names import COMMAND, POSE, parse
+from kraft.text import counted
 
 _FAMILY: Final = COMMAND | POSE
 _SOURCES: Final = {
@@ -40,30 +41,60 @@ def pair_files(commands: Sequence[Path], poses: Sequence[Path]) -> list[tuple[Pa
     )
 
 
-def pair_across_folders(commands: Sequence[Path], poses: Sequence[Path]) -> list[tuple[Path, Path]]:
+def pair_across_folders(
+    commands: Sequence[Path], poses: Sequence[Path]
+) -> tuple[list[tuple[Path, Path]], dict[Path, tuple[list[Path], list[Path]]]]:
     """Pair files with commands and files with poses in folders beside each other (`cmd/run_01`, `mocap/run_01`).
 
     Two form a pair whose names, and those of their folders, are the same without the words for commands and poses and
     for what they come from, if no third file has these names too.  The name of each folder must have such a word: files
     of the same name in `run_1` and `run_2` are of different drives.
+
+    Returns:
+        The pairs, and by the folder around theirs the files of such folders that are in none, with commands and with
+        poses, where there are both kinds of files.
     """
     known = _FAMILY | _SOURCES
 
     def drive(path: Path) -> Hashable:
         return path.parent.parent, *(tuple(w for w in _words(each) if w not in known) for each in (path.parent, path))
 
-    said = [path for path in (*commands, *poses) if known.intersection(_words(path.parent))]
-    pairs = _equal([path for path in commands if path in said], [path for path in poses if path in said], drive)
-    return [pair for pair in pairs if pair[0].parent != pair[1].parent]
+    said = tuple([path for path in kind if known.intersection(_words(path.parent))] for kind in (commands, poses))
+    pairs = [pair for pair in _equal(said[0], said[1], drive) if pair[0].parent != pair[1].parent]
+    paired = {path for pair in pairs for path in pair}
+    with_commands, with_poses = ({path.parent.parent for path in kind} for kind in said)
+    left: dict[Path, tuple[list[Path], list[Path]]] = {}
+    for kind, paths in enumerate(said):
+        for path in paths:
+            if path not in paired and path.parent.parent in with_commands & with_poses:
+                left.setdefault(path.parent.parent, ([], []))[kind].append(path)
+    return pairs, left
 
 
 def unpaired(folder: Path, commands: Sequence[Path], poses: Sequence[Path]) -> Diagnostic:
-    """Problem of the files of a folder with commands alone and with poses alone that form no pairs."""
-    count = f"{len(commands)} file{' has' if len(commands) == 1 else 's have'} commands and {len(poses)} "
-    example = f"{commands[0].name}, {poses[0].name}"
-    problem = f"{count}{'has' if len(poses) == 1 else 'have'} poses, but their names do not pair ({example}, ...)"
+    """Problem of the files of a folder, or of folders in it, with commands alone and with poses alone without a pair.
+
+    One of the two kinds may be empty.
+    """
+    kinds = [(what, paths) for what, paths in (("commands", commands), ("poses", poses)) if paths]
+    (what, first), *second = kinds
+    count = f"{counted(len(first), 'file')} {_have(first)} {what}"
+    if second:
+        count += f" and {len(poses)} {_have(poses)} poses"
+        why = "their names do not pair"
+    else:
+        other = "poses" if what == "commands" else "commands"
+        why = f"no file with {other} pairs with {'it by its name' if len(first) == 1 else 'them by their names'}"
+    examples = ", ".join(paths[0].relative_to(folder).as_posix() for _, paths in kinds)
+    more = ", ..." if second or len(first) > 1 else ""
     expected = "expected names such as X_cmd.csv and X_pose.csv, X being the drive, or a folder for each drive"
-    return Diagnostic(str(folder), problem, expected, code=Code.MISSING)
+    if any(path.parent != folder for path in (*commands, *poses)):
+        expected = "expected the same names in both folders, such as cmd/X.csv and mocap/X.csv, X being the drive"
+    return Diagnostic(str(folder), f"{count}, but {why} ({examples}{more})", expected, code=Code.MISSING)
+
+
+def _have(files: Sequence[Path]) -> str:
+    return "has" if len(files) == 1 else "have"
 
 
 def _equal(commands: Sequence[Path], poses: Sequence[Path], key: Callable[[Path], Hashable]) -> list[tuple[Path, Path]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -225,3 +225,53 @@ def test_files_that_do_not_pair_are_one_problem_of_their_folder(tmp_path: Path) 
     assert [log.sources[0].file for log in found.logs] == [str(tmp_path / "logs" / "good_cmd.csv")]
     (problem,) = found.problems
     assert problem.problem.startswith("3 files have commands and 3 have poses, but their names do not pair")
+
+
+def write_across(root: Path, commands: Sequence[str], poses: Sequence[str]) -> None:
+    """Write files with commands in `cmd` and with poses in `mocap`."""
+    for command, pose in zip(commands, poses, strict=True):
+        write_pair(root, MADE, f"cmd/{command}.csv", f"mocap/{pose}.csv")
+
+
+def test_files_in_folders_for_each_kind_that_do_not_pair_are_one_problem(tmp_path: Path) -> None:
+    write_across(tmp_path / "d", ["run_01", "run_02", "run_03"], ["take_01", "take_02", "take_03"])
+    for paths in ([tmp_path / "d"], [tmp_path / "d" / "cmd", tmp_path / "d" / "mocap"]):
+        with pytest.raises(InputError) as error:
+            read_logs(paths)
+        (problem,) = error.value.diagnostics
+        assert problem.file == str(tmp_path / "d")
+        assert problem.code == Code.MISSING
+        assert problem.problem == (
+            "3 files have commands and 3 have poses, but their names do not pair "
+            "(cmd/run_01.csv, mocap/take_01.csv, ...)"
+        )
+
+
+def test_a_file_in_a_folder_for_its_kind_that_lacks_the_other_file_is_a_problem_and_the_rest_is_read(
+    tmp_path: Path,
+) -> None:
+    write_across(tmp_path, ["run_1", "run_2", "run_3"], ["run_1", "run_2", "run_3"])
+    (tmp_path / "mocap" / "run_2.csv").unlink()
+    found = read_logs(tmp_path)
+    assert [log.name for log in found.logs] == ["run_1", "run_3"]
+    (problem,) = found.problems
+    assert problem.problem == "1 file has commands, but no file with poses pairs with it by its name (cmd/run_2.csv)"
+
+
+def test_two_folders_for_each_kind_that_are_given_pair_and_count_once(tmp_path: Path) -> None:
+    write_across(tmp_path, ["run_1", "run_2"], ["run_1", "run_2"])
+    commands, poses = tmp_path / "cmd", tmp_path / "mocap"
+    found = read_logs([commands, poses])
+    assert [log.name for log in found.logs] == ["run_1", "run_2"]
+    assert not found.problems
+    for again in ([commands, poses, commands], [tmp_path, commands]):
+        found = read_logs(again)
+        assert len(found.logs) == 2
+        assert [problem.code for problem in found.problems] == [Code.DUPLICATE]
+
+
+def test_files_with_commands_alone_in_a_folder_for_them_name_the_missing_columns(tmp_path: Path) -> None:
+    write_across(tmp_path, ["run_1"], ["run_1"])
+    with pytest.raises(InputError) as error:
+        read_logs(tmp_path / "cmd")
+    assert all("no column" in problem.problem for problem in error.value.diagnostics)
