@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
@@ -27,6 +28,8 @@ HARMLESS: Final = {
     "repeated": "commands are recorded more often than they are sent; nothing is left out",
 }
 """Kinds of findings that leave nothing out, with the message for several logs that have one."""
+_NUMBER: Final = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+"""A number in a message, also of a log (`run_01`)."""
 
 
 def read_sysid_logs(
@@ -128,15 +131,20 @@ def _report_left_out(problems: Sequence[Diagnostic], begin: str, warn: MessageSi
             for problem in (first, *others):
                 warn(f"{begin}{problem}")
             continue
-        warn(f"{begin}{first}; the same in {len(others)} other logs (-v lists them)")
+        same = "the same" if all(each.problem == first.problem for each in others) else "the same with other numbers"
+        warn(f"{begin}{first}; {same} in {len(others)} other logs (-v lists them)")
         for problem in others:
             detail(f"{begin}{problem}")
 
 
 def _kind(problem: Diagnostic) -> Hashable:
-    """What problems of several logs share: their words, or the place in the mapping file and what is expected there."""
+    """What problems of several logs share: their words, or the place in the mapping file and what is expected there.
+
+    Numbers do not count: each log has its own speeds, times and line.
+    """
     at_a_key = problem.line is not None and problem.path
-    return problem.path, problem.code, problem.expected, problem.place if at_a_key else problem.problem
+    what = problem.place if at_a_key else _NUMBER.sub("#", problem.problem)
+    return problem.path, problem.code, _NUMBER.sub("#", problem.expected), what
 
 
 def _report_logs(logs: Sequence[Log], info: MessageSink, detail: MessageSink) -> None:

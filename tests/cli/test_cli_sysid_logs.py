@@ -203,3 +203,15 @@ def test_the_truth_is_never_read(folder: Path, capsys: pytest.CaptureFixture[str
         (run / "truth.csv").mkdir()  # whoever opens it fails
     assert main(arguments) == 0
     assert {**json.loads(capsys.readouterr().out), "wall_s": 0} == {**before, "wall_s": 0}
+
+
+def test_a_problem_that_many_logs_have_with_other_numbers_is_said_once(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for run in (folder / "logs").iterdir():
+        heading, *rows = (run / "poses.csv").read_text().splitlines()
+        poses = np.loadtxt(rows, delimiter=",") * [1.0, 1000.0, 1000.0, 1.0]  # in mm
+        np.savetxt(run / "poses.csv", poses, delimiter=",", header=heading, comments="")
+    assert main(["sysid", "logs", "--model", "mushr-lag"]) == 1
+    (line,) = [line for line in said(capsys) if "poses.csv" in line]
+    assert line.endswith("; the same with other numbers in 7 other logs (-v lists them)")
