@@ -201,6 +201,8 @@ STEERING_MAX: Final = 1.6
 SIDEWAYS_MIN: Final = 1.2
 """Difference of the direction of motion from a yaw, rad, above which it counts as a right angle."""
 _CHORDS_MIN: Final = 5
+_NEUTRAL_PULSE, _PULSE_REACH = 1500.0, 500.0
+"""Usual neutral pulse width of a servo, and its usual largest deviation from there, us."""
 
 
 class DegreesError(InputError):
@@ -283,8 +285,15 @@ def _pulses(samples: Samples, channel: Channel, values: Array) -> list[Diagnosti
     problem = (
         f"{channel.column!r} goes from {values.min():g} to {values.max():g}: these look like pulse widths of a servo"
     )
-    how = f"commands.controls.{channel.role}: {{column: {channel.column!r}, zero: 1500, scale: 0.002}}"
-    return [samples.diagnostic(problem, f"expected a command; state their meaning in a mapping file, as in {how}")]
+    reach = 1.0 if channel.reach is None else channel.reach
+    how = f"commands.controls.{channel.role}: {{column: {channel.column!r}, zero: {_NEUTRAL_PULSE:g}"
+    how += f", scale: {reach / _PULSE_REACH:.3g}}}"
+    low, high = _NEUTRAL_PULSE - _PULSE_REACH, _NEUTRAL_PULSE + _PULSE_REACH
+    unit = f" {channel.unit}" if channel.unit != "1" else ""
+    guess = f"a guess that {low:g} to {high:g} is {-reach:.3g} to {reach:.3g}{unit}; its sign may be the opposite one"
+    return [
+        samples.diagnostic(problem, f"expected a command; state their meaning in a mapping file, as in {how}, {guess}")
+    ]
 
 
 def _steering(samples: Samples) -> list[tuple[Diagnostic, Channel]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections import abc
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from kraft.logs.mapping import Column, Control, Mapping
 from kraft.logs.matching import written_at
 from kraft.logs.motion import DegreesError, SwappedError, assumed_radians
 from kraft.logs.names import SYNONYMS, control_score
-from kraft.logs.streams import Choice, in_any_unit, on_one_clock
+from kraft.logs.streams import Choice, in_any_unit, on_one_clock, with_reach
 from kraft.logs.table import Table, read_csv
 from kraft.text import suggestion
 from kraft.vehicles import CAR_CONTROLS
@@ -40,6 +41,7 @@ def read_logs(
     mapping: Mapping | None = None,
     *,
     any_command_unit: bool = False,
+    limits: abc.Mapping[str, tuple[float, float]] | None = None,
 ) -> LogSet:
     """Read every log in files and folders; a log that cannot be read is a problem of the set.
 
@@ -49,6 +51,8 @@ def read_logs(
         mapping: a mapping file (`load_mapping`), where the names of the columns are not sufficient.
         any_command_unit: whether commands may be in any unit, as `kraft.sysid.command_units` finds it; otherwise a
             steering command without a stated unit is in radians, and pulse widths are refused.
+        limits: least and largest command of the vehicle by control, for what a message proposes instead of pulse
+            widths.
 
     Raises:
         InputError: if there is no log at all, or if none can be read; with every problem.  It is a `MismatchError`
@@ -72,7 +76,9 @@ def read_logs(
             continue
         tables += map(heading, found)
         try:
-            read.append(_read(candidate.name, sources, found, controls, stated, any_unit=any_command_unit))
+            choice = with_reach(on_one_clock(choose(found, controls, stated)), limits or {})
+            choice = in_any_unit(choice) if any_command_unit else choice
+            read.append((_log(candidate.name, sources, choice, controls, stated), choice))
         except DegreesError as error:
             degrees |= error.columns
             problems += error.diagnostics
@@ -117,19 +123,9 @@ def _has_rows(path: Path) -> bool:
         return bool(file.readline() and file.readline())
 
 
-def _read(
-    name: str,
-    sources: Sequence[Source],
-    tables: Sequence[Table],
-    controls: Sequence[str],
-    mapping: Mapping,
-    *,
-    any_unit: bool,
-) -> tuple[Log, Choice]:
-    choice = on_one_clock(choose(tables, controls, mapping))
-    choice = in_any_unit(choice) if any_unit else choice
+def _log(name: str, sources: Sequence[Source], choice: Choice, controls: Sequence[str], mapping: Mapping) -> Log:
     parts, findings = clean(choice, controls, mapping)
-    return Log(name, tuple(sources), tuple(controls), parts, findings, str(choice), choice.columns), choice
+    return Log(name, tuple(sources), tuple(controls), parts, findings, str(choice), choice.columns)
 
 
 def _csv_files(files: Iterable[Path]) -> tuple[list[Source], list[Table]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -32,6 +32,7 @@ class Channel:
         place: where the mapping file names it, for errors; None if it was guessed.
         note: remark for the line of text.
         any_unit: whether its numbers may be in a unit that `unit` does not state.
+        reach: largest command of the vehicle, for messages; None if it is not known.
     """
 
     role: str
@@ -43,6 +44,7 @@ class Channel:
     place: Diagnostic | None = None
     note: str = ""
     any_unit: bool = False
+    reach: float | None = None
 
     def values(self, table: Table) -> Array:
         """Numbers in SI units and radians, shape (n,)."""
@@ -169,6 +171,16 @@ def in_any_unit(choice: Choice) -> Choice:
             stream,
             channels=tuple(c if c.stated else replace(c, unit="1", any_unit=True) for c in stream.channels),
         )
+        for stream in choice.commands
+    )
+    return replace(choice, commands=streams)
+
+
+def with_reach(choice: Choice, limits: Mapping[str, tuple[float, float]]) -> Choice:
+    """The same with the largest commands of the vehicle, from the limits of its controls by name."""
+    reach = {name: max(map(abs, pair)) for name, pair in limits.items()}
+    streams = tuple(
+        replace(stream, channels=tuple(replace(c, reach=reach.get(c.role)) for c in stream.channels))
         for stream in choice.commands
     )
     return replace(choice, commands=streams)

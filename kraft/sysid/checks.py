@@ -133,9 +133,9 @@ def warnings_of(solution: SolvedProblem, *, windows: bool = False) -> tuple[str,
     its terms are known shows in its predictions.
     """
     checks: list[Callable[[SolvedProblem], Iterator[str]]] = [
-        _convergence,
-        _steering,
+        _steering,  # why a fit fails comes before how
         _throttle,
+        _convergence,
         _bounds,
         _negative_delay,
     ]

@@ -105,8 +105,9 @@ def run_sysid(
     base, settings = checked(request)
     any_unit = request.model == AUTO
     auto = any_unit and is_car(base.vehicle)
-    controls = tuple(base.vehicle.controls)
-    logs = read_sysid_logs(request.logs, request.mapping, controls, info, warn, detail, any_command_unit=any_unit)
+    limits = base.vehicle.controls
+    controls = tuple(limits)
+    logs = read_sysid_logs(request.logs, request.mapping, limits, info, warn, detail, any_command_unit=any_unit)
     split = split_logs(logs.logs, request.holdout)
     info(split.note)
     units = command_units(split.fitted) if any_unit else {}

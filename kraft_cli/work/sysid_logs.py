@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
+from collections import Counter, abc
 from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
 from typing import Final
@@ -20,6 +20,8 @@ from kraft.vehicles import CAR_CONTROLS
 MessageSink = Callable[[str], None]
 """Receives one message."""
 
+Limits = abc.Mapping[str, tuple[float, float]]
+"""Least and largest command by the name of the control."""
 MANY: Final = 3
 """Number of logs with the same problem from which it is reported once."""
 HARMLESS: Final = {
@@ -35,7 +37,7 @@ _NUMBER: Final = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 def read_sysid_logs(
     paths: Sequence[Path],
     mapping_file: Path | None,
-    controls: Sequence[str],
+    limits: Limits,
     info: MessageSink,
     warn: MessageSink,
     detail: MessageSink,
@@ -47,7 +49,7 @@ def read_sysid_logs(
     Args:
         paths: files and folders with logs.
         mapping_file: mapping file; None to guess every column.
-        controls: names of the vehicle's controls.
+        limits: least and largest command of each of the vehicle's controls.
         info: receives the column assignments and the findings.
         warn: receives problems of logs that are left out.
         detail: receives the place of each finding that `info` receives as a sum.
@@ -57,9 +59,9 @@ def read_sysid_logs(
         InputError: if there are no logs, or mapping file or controls fit none of them.
         NegativeResult: if there are logs, and none of them can be used.
     """
-    mapping = Mapping() if mapping_file is None else load_mapping(mapping_file)
+    mapping, controls = Mapping() if mapping_file is None else load_mapping(mapping_file), tuple(limits)
     try:
-        found = read_logs(paths, controls, mapping, any_command_unit=any_command_unit)
+        found = read_logs(paths, controls, mapping, any_command_unit=any_command_unit, limits=limits)
     except MismatchError:
         raise
     except InputError as error:

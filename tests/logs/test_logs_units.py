@@ -33,6 +33,15 @@ def test_a_wrong_unit_is_refused_with_what_to_write(
     assert expected in message
 
 
+def test_pulse_widths_of_the_steering_are_proposed_as_the_angles_of_the_vehicle(tmp_path: Path) -> None:
+    write_wide(tmp_path / "log.csv", {"steering": 1500 + 400 * np.sin(TIMES)})
+    with pytest.raises(InputError) as error:
+        read_logs(tmp_path, limits={"throttle": (0.0, 1.0), "steering": (-0.38, 0.38)})
+    (problem,) = error.value.diagnostics
+    assert "{column: 'steering', zero: 1500, scale: 0.00076}" in problem.expected
+    assert "a guess that 1000 to 2000 is -0.38 to 0.38 rad; its sign may be the opposite one" in problem.expected
+
+
 def test_radians_that_were_never_wrapped_are_no_degrees(tmp_path: Path) -> None:
     made = drive(duration=40.0, turn=1.5)  # about ten rounds: 60 rad
     assert made.poses[:, 2].max() > 59

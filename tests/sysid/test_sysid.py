@@ -261,7 +261,7 @@ def test_a_lag_without_changes_of_throttle_is_not_told() -> None:
 
 def test_steering_with_the_wrong_sign_is_noticed() -> None:
     flipped = [changed(log, commands=log.parts[0].commands * [1.0, -1.0]) for log in logs()]
-    assert said(identify(lag(), flipped, PLAIN), "opposite signs")
+    assert "opposite signs" in identify(lag(), flipped, PLAIN).warnings[0]  # the cause before its consequences
 
 
 def test_commands_of_another_drive_are_noticed() -> None:
