@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 ASSUMED_WHEELBASE: Final = 0.33
-"""Wheelbase that the scale of the steering is found with, m: that of a 1:10 car."""
+"""Wheelbase that the scale of the steering is found with where nobody states it, m: that of a 1:10 car."""
 STEERING_RATIO_MAX: Final = 2.2
 """Factor between the commanded and the found wheel angle up to which commands count as radians."""
 THROTTLE_MAX: Final = 1.6
@@ -61,14 +61,17 @@ class CommandUnit:
         return self == CommandUnit()
 
 
-def command_units(logs: Sequence[Log]) -> dict[str, CommandUnit]:
-    """Meaning of the commands in the logs of one vehicle; as they are where the logs do not show another one."""
+def command_units(logs: Sequence[Log], wheelbase: float = ASSUMED_WHEELBASE) -> dict[str, CommandUnit]:
+    """Meaning of the commands in the logs of one vehicle; as they are where the logs do not show another one.
+
+    The scale of the steering is that of a car with this wheelbase, m.
+    """
     if logs and set(SIDES) <= set(logs[0].controls):
         return dict(zip(SIDES, _sides(motions(logs, SIDES)), strict=True))
     found = motions(logs)
     if not found:
         return {"throttle": CommandUnit(), "steering": CommandUnit()}
-    return {"throttle": _throttle(found), "steering": _steering(found)}
+    return {"throttle": _throttle(found), "steering": _steering(found, wheelbase)}
 
 
 def with_units(logs: Sequence[Log], units: Mapping[str, CommandUnit]) -> tuple[Log, ...]:
@@ -86,18 +89,11 @@ def with_units(logs: Sequence[Log], units: Mapping[str, CommandUnit]) -> tuple[L
 
 def unit_notes(units: Mapping[str, CommandUnit]) -> tuple[str, ...]:
     """What was found of commands that were converted, and how a mapping file states it."""
-    notes = tuple(
+    return tuple(
         f"{name}: {unit.neutral:g} is neutral, {abs(1.0 / unit.scale):.4g} {FULL[name]}; in a mapping file: "
         f"commands.controls.{name}: {{column: ..., zero: {unit.neutral:g}, scale: {unit.scale:g}}}"
         for name, unit in units.items()
         if not unit.as_is
-    )
-    if units.get("steering", CommandUnit()).as_is:
-        return notes
-    ratio = "poses show only the ratio of the scale of the steering to the wheelbase L"
-    return (
-        *notes,
-        f"{ratio}: both are those of a car with about {ASSUMED_WHEELBASE:g} m; state the scale if you know it",
     )
 
 
@@ -154,7 +150,7 @@ def _at_rest(values: Floats, speed: Floats, largest: float) -> float | None:
     return float(kinds[np.argmax(counts)])
 
 
-def _steering(found: Sequence[Motion]) -> CommandUnit:
+def _steering(found: Sequence[Motion], wheelbase: float) -> CommandUnit:
     values = np.concatenate([m.commands(DELAY)[:, 1] for m in found])
     speed = np.concatenate([m.speed for m in found])
     rate = np.concatenate([m.rate for m in found])
@@ -164,7 +160,7 @@ def _steering(found: Sequence[Motion]) -> CommandUnit:
     level, slope = np.linalg.lstsq(np.column_stack([speed, speed * (values - middle) / half]), rate, rcond=None)[0]
     if slope == 0.0:
         return CommandUnit()
-    straight, per_unit = middle - half * level / slope, ASSUMED_WHEELBASE * slope / half
+    straight, per_unit = middle - half * level / slope, wheelbase * slope / half
     away = float(np.abs(values - straight).max())
     neutral = _rounded(straight, values) if abs(straight) > OFFSET_MAX * away else 0.0
     radians = 1.0 / STEERING_RATIO_MAX <= per_unit <= STEERING_RATIO_MAX

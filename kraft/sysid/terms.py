@@ -11,7 +11,6 @@ import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.log import Log
-from kraft.sysid.base_vehicle import WHEELBASE
 from kraft.sysid.checks import SolvedProblem, SteeringInMotion, warnings_of
 from kraft.sysid.data import usable_logs
 from kraft.sysid.interface import Identification, ModelTrial, Settings
@@ -90,7 +89,6 @@ def identify_terms(
     trials = [best if s is found.best else s for s in found.trials]
     rows = tuple(_trial(s, chosen=s is best, horizon=settings.horizon) for s in trials)
     notes = [f"not identified, because only turns to both sides show them: {', '.join(held)}"] if held else []
-    notes += _wheelbase_note(identification, settings)
     return ModelChoice(vehicle, replace(identification, trials=rows, notes=(*identification.notes, *notes)))
 
 
@@ -163,18 +161,6 @@ def simplified(found: Searched, alike: Structure, own: StructureSearch) -> Searc
     if better or is_near(other.best, found.best, NEGLIGIBLE_LOSS, CLEARLY_WORSE):
         return other._replace(trials=trials)
     return found._replace(trials=trials)
-
-
-def _wheelbase_note(identification: Identification, settings: Settings) -> list[str]:
-    """What to do about a wheelbase that nobody stated."""
-    known = identification.parameters.get(WHEELBASE)
-    if known is None or not known.frozen or WHEELBASE in settings.values:
-        return []
-    return [
-        f"poses do not show {WHEELBASE}, the wheelbase, but its ratio to the steering: it is taken as "
-        f"{known.value:g} m, and wheel angles are those of such a car; state the measured one "
-        f"as the value of {WHEELBASE}, with which predictions of a car whose wheels turn little are about the same"
-    ]
 
 
 def _shown_by_both_sides(vehicle: VehicleConfig, steered: SteeringInMotion) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from kraft.sysid.acceptance import (
     replacement_objections,
 )
 from kraft.sysid.base_vehicle import (
+    WHEELBASE,
     BaseVehicle,
     for_sides,
     load_base_vehicle,
@@ -26,7 +27,15 @@ from kraft.sysid.base_vehicle import (
     with_speed,
 )
 from kraft.sysid.checks import SteeringInMotion
-from kraft.sysid.command_units import SIDES, CommandUnit, command_units, sign_warnings, unit_notes, with_units
+from kraft.sysid.command_units import (
+    ASSUMED_WHEELBASE,
+    SIDES,
+    CommandUnit,
+    command_units,
+    sign_warnings,
+    unit_notes,
+    with_units,
+)
 from kraft.sysid.data import LogSplit, split_logs
 from kraft.sysid.factor_graph import ensure_compiled
 from kraft.sysid.floor import leaning_floor
@@ -110,7 +119,7 @@ def run_sysid(
     logs = read_sysid_logs(request.logs, request.mapping, limits, info, warn, detail, any_command_unit=any_unit)
     split = split_logs(logs.logs, request.holdout)
     info(split.note)
-    units = command_units(split.fitted) if any_unit else {}
+    units = command_units(split.fitted, settings.values.get(WHEELBASE, ASSUMED_WHEELBASE)) if any_unit else {}
     recorded = split.held_out
     split = replace(split, fitted=with_units(split.fitted, units), held_out=with_units(split.held_out, units))
     try:
@@ -149,6 +158,7 @@ def run_sysid(
         notes=(
             *identification.notes,
             *unit_notes(units),
+            *_wheelbase_note(base, identification, settings, units),
             *excluded,
             *_preview_note(request, identification),
             *((taken_over,) if taken_over else ()),
@@ -252,6 +262,24 @@ def _excluded_note(base: BaseVehicle, settings: Settings) -> tuple[str, ...]:
     """The note that auxiliary parameters of the motion were not considered, if there are such."""
     names = excluded_for_planning(base.vehicle, settings)
     return (f"not considered, because planning does not model them: {', '.join(names)}",) if names else ()
+
+
+def _wheelbase_note(
+    base: BaseVehicle, identification: Identification, settings: Settings, units: Mapping[str, CommandUnit]
+) -> tuple[str, ...]:
+    """The note that the wheelbase is assumed, if the result depends on it and nobody stated it."""
+    known = identification.parameters.get(WHEELBASE)
+    of_terms = known is not None and known.frozen and has_terms(base.definition)
+    converted = not units.get("steering", CommandUnit()).as_is
+    if WHEELBASE in settings.values or not (of_terms or converted):
+        return ()
+    assumed = known.value if known is not None and of_terms else ASSUMED_WHEELBASE
+    angles = "wheel angles and the scale of the steering" if converted else "wheel angles"
+    return (
+        f"poses do not show {WHEELBASE}, the wheelbase, but its ratio to the steering: it is taken as {assumed:g} m, "
+        f"and {angles} are those of such a car; state the measured one with --param {WHEELBASE}=..., with which "
+        "predictions of a car whose wheels turn little are about the same",
+    )
 
 
 def _untested(split: LogSplit, left_out: Sequence[Stretch]) -> tuple[str, ...]:

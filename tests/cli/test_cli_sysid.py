@@ -478,3 +478,19 @@ def test_files_of_a_robot_with_two_sides_whose_names_do_not_pair_are_one_message
     assert main(["sysid", str(folder)]) == 2
     (problem,) = said(capsys)
     assert problem.startswith(f"{folder}: 2 files have commands and 2 have poses, but their names do not pair")
+
+
+@pytest.mark.parametrize(("options", "notes"), [((), 1), (("--param", "L=0.3"), 0)])
+def test_a_wheelbase_that_nobody_stated_is_said_once_with_the_option(
+    options: tuple[str, ...], notes: int, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for run in (folder / "logs").iterdir():  # pulse widths
+        heading, *rows = (run / "commands.csv").read_text().splitlines()
+        commands = np.loadtxt(rows, delimiter=",") * [1.0, 400.0, -900.0] + [0.0, 1500.0, 1500.0]
+        np.savetxt(run / "commands.csv", commands, delimiter=",", header=heading, comments="")
+    assert main(["sysid", "logs", "--json", *options]) == 0
+    content = json.loads(capsys.readouterr().out)
+    said = [note for note in content["notes"] if "wheelbase" in note]
+    assert len(said) == notes
+    assert all("--param L=..." in note for note in said)
+    assert not content["commands"]["steering"]["as_is"]

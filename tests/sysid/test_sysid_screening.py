@@ -89,8 +89,15 @@ def test_pulse_widths_are_told_as_a_mapping_file_states_them() -> None:
     throttle, steering = UNITS["pulse widths"]
     units = command_units(commanded(logs(), throttle, steering))
     assert (units["throttle"].neutral, units["steering"].neutral) == (1500.0, 1500.0)
+    assert len(unit_notes(units)) == 2
     assert "commands.controls.steering: {column: ..., zero: 1500, scale: -0.00" in unit_notes(units)[1]
-    assert "ratio of the scale of the steering to the wheelbase L" in unit_notes(units)[2]
+
+
+def test_the_scale_of_the_steering_is_that_of_a_car_with_the_stated_wheelbase() -> None:
+    given = commanded(logs(), *UNITS["pulse widths"])
+    assumed, stated = (command_units(given, wheelbase)["steering"] for wheelbase in (0.33, 0.165))
+    assert stated.neutral == assumed.neutral
+    assert stated.scale == pytest.approx(0.5 * assumed.scale, rel=0.01)
 
 
 def test_a_neutral_throttle_is_found_although_friction_holds_the_car_at_others() -> None:

@@ -363,12 +363,6 @@ def test_drives_to_one_side_do_not_bend_what_only_both_sides_show() -> None:
     assert "phi_diff" in both.identification.names
 
 
-def test_a_wheelbase_that_nobody_stated_is_said() -> None:
-    for values, said in (({}, True), ({"L": 0.2}, False)):
-        found = identify_terms(car_file(), [drive(car(), 0, seconds=10.0)], Settings(values=values)).identification
-        assert any(note.startswith("poses do not show L") for note in found.notes) == said
-
-
 @needs_real_logs
 def test_a_real_car_that_was_driven_to_the_left_is_predicted_to_the_right() -> None:
     logs = read_logs(RAMPS, any_command_unit=True).logs
