@@ -162,7 +162,7 @@ def ensure_compiled(vehicle: Vehicle, reference: str, info: Callable[[str], None
     """
     if are_steps_cached(vehicle) and is_cached():
         return
-    info(f"compiling the model of {reference} for identification on this machine: once, about 8 s ...")
+    info(f"compiling the model of {reference} for identification on this machine, once ...")
     began = time.perf_counter()
     compile_identification(vehicle)
     info(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
