@@ -226,7 +226,8 @@ def _draw_choice(figure: Figure, page: Page, top: float, result: Identification)
         part = Rectangle(LEFT, top, width, CHOICE)
         colours = draw_trials(page.axes(figure, part), result.trials)
         models = " and ".join(dict.fromkeys(trial.model for trial in result.trials))
-        about = "error on logs not fitted" + ("" if result.models else ", after switching off one term after another")
+        about = "error on logs, or parts of them, not fitted"
+        about += "" if result.models else ", after switching off one term after another"
         words = [(f"Choice of terms of {models}", INK), (about, INK), *colours]
         caption(figure, page, part, words)
     if result.models:

@@ -156,6 +156,8 @@ class ModelTrial:
     chosen: bool
     added: str = ""
     """those that were switched on again at the end, separated by commas"""
+    on_fitted: bool = False
+    """whether the errors are of the logs that it was fitted to, because there are too few to leave one out"""
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,8 @@ class _Candidate:
     model: IdentifiedCar
     errors: Matrix
     """(logs, horizons) of logs that it was not fitted to, m; NaN where a log is too short to predict"""
+    on_fitted: bool = False
+    """whether they are of the logs that it was fitted to instead"""
 
     def score(self, logs: Sequence[int] | slice = slice(None)) -> float:
         """Mean of the errors of some logs over their time, m/s; infinite if none of them was predicted."""
@@ -151,7 +153,8 @@ def _screened(name: str, logs: Sequence[Log], settings: Settings) -> _Candidate 
         return None
     identification = replace(known.identification, without_log=())
     try:
-        return _judged(replace(known, identification=identification), [logs[k] for k in _tests(logs)], settings)
+        tests = [logs[k] for k in _tests(logs)]
+        return replace(_judged(replace(known, identification=identification), tests, settings), on_fitted=False)
     except InputError:  # nothing moves in these logs
         return None
 
@@ -222,12 +225,16 @@ def _known(name: str, logs: Sequence[Log], settings: Settings, on_iteration: OnI
 
 
 def _judged(model: IdentifiedCar, logs: Sequence[Log], settings: Settings) -> _Candidate:
-    """Errors of each usable log, predicted with the parameters that the others give; NaN of one too short for that."""
+    """Errors of each usable log, predicted with the parameters that the others give; NaN of one too short for that.
+
+    Where there are too few logs for that, it is predicted with the parameters that all of them give.
+    """
     identification = model.identification
     settings = identification.predicting(settings)
     usable = usable_logs(model.base.vehicle, logs)
     others = identification.without_log
-    values = others if len(others) == len(usable) else [identification.values] * len(usable)
+    on_fitted = len(others) != len(usable)
+    values = [identification.values] * len(usable) if on_fitted else others
 
     def errors(log: Log, own: Mapping[str, float]) -> list[float]:
         found: Mapping[float, float] = {}
@@ -235,7 +242,8 @@ def _judged(model: IdentifiedCar, logs: Sequence[Log], settings: Settings) -> _C
             found = window_errors(predict_windows(model.base.definition, [log], own, settings)).position
         return [found.get(after, np.nan) for after in HORIZONS]
 
-    return _Candidate(model, np.array(in_parallel(lambda each: errors(*each), zip(usable, values, strict=True))))
+    found = np.array(in_parallel(lambda each: errors(*each), zip(usable, values, strict=True)))
+    return _Candidate(model, found, on_fitted)
 
 
 def _trial(candidate: _Candidate, *, chosen: bool) -> ModelTrial:
@@ -246,4 +254,4 @@ def _trial(candidate: _Candidate, *, chosen: bool) -> ModelTrial:
     }
     identification = candidate.model.identification
     on = next((trial.terms for trial in identification.trials if trial.chosen), identification.auxiliary)
-    return ModelTrial(candidate.model.base.name, on, "", errors, chosen)
+    return ModelTrial(candidate.model.base.name, on, "", errors, chosen, on_fitted=candidate.on_fitted)

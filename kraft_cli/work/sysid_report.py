@@ -99,7 +99,7 @@ def prediction_table(result: SysidResult) -> Table:
 
 
 def model_table(trials: Sequence[ModelTrial]) -> Table:
-    """Table of models that were compared, by their errors on logs that each was not fitted to."""
+    """Table of models that were compared, by the errors that `model_caption` describes."""
     if not trials:
         return (), []
     times = sorted({after for trial in trials for after in trial.errors})
@@ -128,12 +128,12 @@ BY_TERMS: Final = (
 
 def model_caption(result: SysidResult) -> str:
     """What the errors in the table of models are, and on which logs; the held-out logs test the chosen one alone."""
-    logs = result.split.fitted
-    judged = (
-        f"the {len(logs)} fitted logs, each predicted by a fit to the others"
-        if len(logs) > 1 and len(result.identification.without_log) == len(logs)
-        else "the fitted logs"
-    )
+    logs, models = result.split.fitted, result.identification.models
+    fitted = [trial.model for trial in models if trial.on_fitted]
+    judged = "the fitted logs"
+    if len(fitted) < len(models):
+        judged = f"the {len(logs)} fitted logs, each predicted by a fit to the others"
+        judged += f" (by {' and '.join(fitted)} by the fit to all of them)" if fitted else ""
     aside = "; the held-out logs have no part in the choice" if result.split.held_out else ""
     return f"models by the position error of open-loop predictions, mean of {judged}{aside}"
 
@@ -195,6 +195,7 @@ def _trial(trial: ModelTrial) -> dict[str, Any]:
         "added": trial.added or None,
         "position_m": {f"{after:g}": error for after, error in trial.errors.items()},
         "chosen": trial.chosen,
+        "on_fitted": trial.on_fitted,
     }
 
 

@@ -24,9 +24,23 @@ def test_the_caption_of_the_models_says_which_logs_they_are_judged_on(
     fitted: int, held_out: int, expected: str
 ) -> None:
     split = SimpleNamespace(fitted=("log",) * fitted, held_out=("log",) * held_out)
-    identification = SimpleNamespace(without_log=({},) * fitted)
+    models = tuple(ModelTrial(name, (), "", {1.0: 0.1}, False, on_fitted=fitted == 1) for name in ("car", "mushr-lag"))
+    identification = SimpleNamespace(models=models)
     caption = model_caption(cast(SysidResult, SimpleNamespace(split=split, identification=identification)))
     assert caption == f"models by the position error of open-loop predictions, {expected}"
+
+
+def test_a_row_of_a_model_that_was_fitted_to_the_logs_it_predicts_is_named() -> None:
+    models = (
+        ModelTrial("car", (), "", {1.0: 0.1}, True, on_fitted=True),
+        ModelTrial("mushr-lag", (), "", {1.0: 0.1}, False),
+    )
+    result = SimpleNamespace(
+        split=SimpleNamespace(fitted=("log",) * 4, held_out=()), identification=SimpleNamespace(models=models)
+    )
+    assert "each predicted by a fit to the others (by car by the fit to all of them)" in model_caption(
+        cast(SysidResult, result)
+    )
 
 
 @pytest.mark.parametrize(("other", "says"), [(0.02, False), (0.009, True)])
