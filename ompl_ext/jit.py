@@ -253,22 +253,6 @@ def caller(signature: Any) -> Callable[[int, tuple[object, ...]], Any]:
     return cast("Callable[[int, tuple[object, ...]], Any]", call)
 
 
-@_intrinsic  # type: ignore[untyped-decorator]
-def bits_of(_: Any, x: Any) -> Any:
-    """Bits of a float64 as an int64, for use in kernels."""
-    return types.int64(types.float64), _reinterpreted
-
-
-@_intrinsic  # type: ignore[untyped-decorator]
-def float_of(_: Any, bits: Any) -> Any:
-    """Float64 with the bits of an int64, for use in kernels."""
-    return types.float64(types.int64), _reinterpreted
-
-
-def _reinterpreted(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-    return builder.bitcast(values[0], context.get_value_type(signature.return_type))
-
-
 def template(function: F) -> F:
     """Put the body of `function` where it is called, before types are inferred.
 

@@ -8,7 +8,7 @@ same bits on every machine.  Absolute error is below 1e-11 for |x| < 1000 rad
 
 from __future__ import annotations
 
-from ompl_ext.jit import bits_of, float_of, inlined
+from ompl_ext.jit import inlined
 
 _ROUND = 6755399441055744.0  # 1.5 * 2**52: adding and subtracting it rounds a double to the nearest integer
 _TWO_OVER_PI = 0.6366197723675814
@@ -18,11 +18,11 @@ _QUARTER_PI = 0.7853981633974483
 
 
 @inlined
-def _reduced(x: float) -> tuple[float, float, int]:
-    """Sine and cosine of x minus its nearest multiple of pi/2, and an integer whose last two bits are the quadrant."""
-    rounded = x * _TWO_OVER_PI + _ROUND  # the integer is in the last bits of its mantissa
-    n = rounded - _ROUND
+def _reduced(x: float) -> tuple[float, float, float]:
+    """Sine and cosine of x minus its nearest multiple of pi/2, and the quadrant 0, 1, 2 or 3."""
+    n = (x * _TWO_OVER_PI + _ROUND) - _ROUND
     r = (x - n * _HALF_PI_HI) - n * _HALF_PI_LO  # in [-pi/4, pi/4]
+    quadrant = n - 4.0 * (((n * 0.25 - 0.375) + _ROUND) - _ROUND)
     z = r * r
     s = -2.505210838544172e-8  # Taylor, degree 11
     s = 2.7557319223985893e-6 + z * s
@@ -35,27 +35,23 @@ def _reduced(x: float) -> tuple[float, float, int]:
     c = -1.388888888888889e-3 + z * c
     c = 4.1666666666666664e-2 + z * c
     c = -0.5 + z * c
-    return r + r * z * s, 1.0 + z * c, bits_of(rounded)
-
-
-@inlined
-def _negated_if(x: float, bit: int) -> float:
-    """-x if the last but one bit of an integer is set, else x: it becomes the sign."""
-    return float_of(bits_of(x) ^ ((bit & 2) << 62))
+    return r + r * z * s, 1.0 + z * c, quadrant
 
 
 @inlined
 def sin(x: float) -> float:
     """Sine of `x` (rad).  Together with `cos` of the same argument the compiler computes the shared part once."""
     s, c, quadrant = _reduced(x)
-    return _negated_if(c if quadrant & 1 else s, quadrant)
+    value = s if quadrant == 0.0 or quadrant == 2.0 else c
+    return value if quadrant < 2.0 else -value
 
 
 @inlined
 def cos(x: float) -> float:
     """Cosine of `x` (rad)."""
     s, c, quadrant = _reduced(x)
-    return _negated_if(s if quadrant & 1 else c, quadrant + 1)
+    value = c if quadrant == 0.0 or quadrant == 2.0 else s
+    return -value if quadrant == 1.0 or quadrant == 2.0 else value
 
 
 @inlined
