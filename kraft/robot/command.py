@@ -13,14 +13,11 @@ from kraft.driving.vehicle_model import CarModel, model_of
 from kraft.errors import Code, InputError
 from kraft.robot.messages import ACKERMANN, JOINTS, header, joints, make
 from kraft.robot.robot_file import Robot
-from kraft.vehicles import CAR_CONTROLS, is_car
+from kraft.vehicles import CAR_CONTROLS, WHEELBASE, control_unit, is_car
 from kraft.vehicles.identification_record import CommandScale
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
-ANY_UNIT: Final = "full_steering"
-"""Parameter of a car whose commands are in any unit, those of the logs that it was identified from."""
-WHEELBASE: Final = "L"
 DOUBTFUL: Final = 2.0
 """Factor between the steering that is sent and the angle of the model's wheels from which on the unit is in doubt."""
 
@@ -61,7 +58,7 @@ def limited(vehicle: Vehicle, robot: Robot) -> Vehicle:
 
 def _steering_up_to(vehicle: Vehicle, angle: float) -> tuple[float, float]:
     """Steering at which the wheels turn by an angle (rad) to the right and to the left."""
-    if ANY_UNIT not in vehicle.parameters:
+    if control_unit(vehicle, "steering") == "rad" or WHEELBASE not in vehicle.parameters:
         return -angle, angle
     model, bend = CarModel(vehicle), math.tan(angle) / vehicle.parameters[WHEELBASE]
     return model.steering_for(-bend), model.steering_for(bend)

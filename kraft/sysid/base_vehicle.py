@@ -17,6 +17,7 @@ from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.interface import Identification
 from kraft.sysid.log_motion import motions
 from kraft.sysid.smoothing import high_speed
+from kraft.vehicles import WHEELBASE
 from kraft.vehicles.code import check_functions, vehicle_in_code
 from kraft.vehicles.config import Footprint, Parameter, VehicleConfig
 from kraft.vehicles.load import (
@@ -155,8 +156,8 @@ def _recorded(manifest: Path) -> RecordedVehicle | None:
     return RecordedVehicle.read(stated, manifest) if isinstance(stated, dict) else None
 
 
-WHEELBASE, LEVER = "L", "lever"
-"""Parameters of `kraft.vehicles.car` that are lengths."""
+LEVER = "lever"
+"""Parameter of `kraft.vehicles.car` that is a length, as the wheelbase is."""
 WHEELS_TURNED = 0.4
 """Angle of the wheels in the sharpest turn of a car whose wheelbase is chosen, rad."""
 WHEELS_TURNED_USUALLY = 0.15, 0.7

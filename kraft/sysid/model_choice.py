@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from kraft.errors import InputError, NegativeResult
-from kraft.sysid.base_vehicle import WHEELBASE, BaseVehicle, for_commands, for_turns, load_base_vehicle, with_speed
+from kraft.sysid.base_vehicle import BaseVehicle, for_commands, for_turns, load_base_vehicle, with_speed
 from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.data import check_any, usable_logs
 from kraft.sysid.identify import identify
@@ -23,7 +23,7 @@ from kraft.sysid.selection import candidates_of
 from kraft.sysid.smoothing import thinned
 from kraft.sysid.structure_choice import CLEARLY_WORSE
 from kraft.sysid.terms import check_controls, error_of_all_terms, identify_terms
-from kraft.vehicles import CAR_CONTROLS
+from kraft.vehicles import CAR_CONTROLS, WHEELBASE
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Matrix
 
@@ -153,10 +153,10 @@ def _screened(name: str, logs: Sequence[Log], settings: Settings) -> _Candidate 
         return None
     identification = replace(known.identification, without_log=())
     try:
-        tests = [logs[k] for k in _tests(logs)]
-        return replace(_judged(replace(known, identification=identification), tests, settings), on_fitted=False)
+        judged = _judged(replace(known, identification=identification), [logs[k] for k in _tests(logs)], settings)
     except InputError:  # nothing moves in these logs
         return None
+    return replace(judged, on_fitted=False)  # they are others
 
 
 def _sampled(log: Log, seconds: float) -> Log:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 DELAY_MAX: Final = 0.5
 """Longest delay of commands that a vehicle may state and that is estimated, s."""
 CAR_CONTROLS: Final = ("throttle", "steering")
+WHEELBASE: Final = "L"
+"""Parameter of the bundled cars, m."""
 
 
 def is_car(vehicle: Vehicle) -> bool:

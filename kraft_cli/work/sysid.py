@@ -18,7 +18,6 @@ from kraft.sysid.acceptance import (
     replacement_objections,
 )
 from kraft.sysid.base_vehicle import (
-    WHEELBASE,
     BaseVehicle,
     for_sides,
     load_base_vehicle,
@@ -49,7 +48,7 @@ from kraft.sysid.terms import check_controls, has_terms
 from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
 from kraft.sysid.vehicle_file import identification_record, write_vehicle
 from kraft.text import counted
-from kraft.vehicles import is_car
+from kraft.vehicles import WHEELBASE, is_car
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.work.next_drives import NextDrives, NextRequest, next_drives
 from kraft_cli.work.sysid_logs import MessageSink, read_sysid_logs, report_problems
