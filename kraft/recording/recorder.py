@@ -249,6 +249,8 @@ class _Run:
         world = self._world
         if world.collision is not None:
             return f"touched {world.collision.obstacle} after {world.time:.2f} s"
+        if world.frame.has_turned_over(world.marker[1]):
+            return f"turned over after {world.time:.2f} s"
         clearance = self._free_space.clearance(*map(float, world.pose))
         if clearance < STOP:
             return f"stopped after {world.time:.2f} s, {clearance:.2f} m from the nearest obstacle or bound"

@@ -144,7 +144,11 @@ PRESETS: Final = {"mushr": MUSHR, "f1tenth": F1TENTH}
 
 
 def design_of(car: CarDimensions) -> CarDesign:
-    """Design of a car with some dimensions of its own.  Springs and the block of inertia scale with mass and size."""
+    """Design of a car with some dimensions of its own.
+
+    The block of inertia scales with the length and width.  Other wheels are those of a car of another scale, see
+    `_of_scale`.
+    """
     base = PRESETS[car.preset]
     given = {
         "wheelbase": car.wheelbase, "track": car.track, "chassis_mass": car.mass, "wheel_radius": car.wheels.radius,
@@ -156,9 +160,6 @@ def design_of(car: CarDimensions) -> CarDesign:
         changes["steering_max"] = math.radians(car.servo.angle_max_deg)
     if car.servo.rate_deg is not None:
         changes["steering_rate"] = math.radians(car.servo.rate_deg)
-    if car.mass is not None:
-        share = car.mass / base.chassis_mass
-        changes |= {"stiffness": base.stiffness * share, "suspension_damping": base.suspension_damping * share}
     length, width, height = base.body
     if car.length is not None:
         changes |= {"front": car.length / 2, "rear": -car.length / 2}
@@ -166,8 +167,38 @@ def design_of(car: CarDimensions) -> CarDesign:
     if car.width is not None:
         changes["side"] = car.width / 2
         width *= car.width / (2.0 * base.side)
-    design = replace(base, **changes, body=(length, width, height))
+    design = _of_scale(replace(base, **changes, body=(length, width, height)), base)
     return design if car.drive is None else design.with_drive(car.drive.top_speed, car.drive.time_constant)
+
+
+def _of_scale(car: CarDesign, base: CarDesign) -> CarDesign:
+    """The car with what nobody states of its size.
+
+    Heights and travel scale with the radius of the wheels, and the springs so that the chassis sags by as large a share
+    of the travel, with the same damping ratio.  Servo and motor scale with the moment of inertia of the wheels, so that
+    they keep their time constants.
+    """
+    size, load = car.wheel_radius / base.wheel_radius, car.chassis_mass / base.chassis_mass
+    inertia = size**2 * car.wheel_mass / base.wheel_mass
+    length, width, height = car.body
+    d0, d1, d2 = base.wheel_damping
+    return replace(
+        car,
+        centre_of_mass=base.centre_of_mass * size,
+        body=(length, width, height * size),
+        bottom=base.bottom * size,
+        top=base.top * size,
+        stiffness=base.stiffness * load / size,
+        suspension_damping=base.suspension_damping * load / math.sqrt(size),
+        travel=base.travel * size,
+        servo_stiffness=base.servo_stiffness * inertia,
+        servo_damping=base.servo_damping * inertia,
+        servo_inertia=base.servo_inertia * inertia,
+        rotor_inertia=base.rotor_inertia * inertia,
+        rolling_friction=base.rolling_friction * inertia,
+        wheel_damping=(d0 * inertia, d1 * inertia, d2 * inertia),
+        full_torque=base.full_torque * inertia,
+    )
 
 
 def add_car(spec: Any, design: CarDesign, gap: VehicleGap) -> None:

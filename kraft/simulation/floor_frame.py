@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -31,6 +31,10 @@ def yaw_rotation(yaw: float) -> Matrix:
 def yaw_quaternion(yaw: float) -> list[float]:
     """Unit quaternion (w, x, y, z) of a rotation about the vertical (rad)."""
     return [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
+
+
+TURNED_OVER: Final = math.radians(60.0)
+"""Angle between the normal of the floor and that of a robot from which on it does not come back onto its wheels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +67,10 @@ class FloorFrame:
         """The floor's normal in the world's frame, (3,)."""
         upwards: Floats = self.rotation[:, 2]
         return upwards
+
+    def has_turned_over(self, rotation: Matrix) -> bool:
+        """Whether a robot with this rotation (3, 3) in the world's frame lies on its side or its roof."""
+        return float(self.normal @ rotation[:, 2]) < math.cos(TURNED_OVER)
 
     def to_world(self, point: Floats) -> Floats:
         """A point (3,) of the floor's frame in the world's, m."""

@@ -10,15 +10,17 @@ from kraft.errors import InputError
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Scenario
 from kraft.vehicles import is_car
-from kraft.vehicles.load import MUSHR_SIZE, load_vehicle, natural_robot
+from kraft.vehicles.load import load_vehicle, natural_robot
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
-from kraft.vehicles.true_robot import CarDimensions
+from kraft.vehicles.true_robot import CAR_SIZES, CarDimensions
 from ompl_ext.vehicle import Vehicle
 
 ALIKE: Final = 1.25
 """Ratio of the sizes of two bodies up to which one may stand for the other."""
 ALIKE_SPEED: Final = 1.5
 """Ratio of the top speeds of two cars up to which one may stand for the other."""
+UNCOVERED: Final = 0.1
+"""Share of the length, and of the width, by which a robot may reach beyond the footprint of its model unmentioned."""
 MUSHR: Final = "mushr-drive"
 """Vehicle that was identified from the simulated MuSHR, with its top speed."""
 
@@ -103,19 +105,44 @@ def check_own_robot(vehicle: Vehicle) -> None:
 
 
 def other_robot(scenario: Scenario, vehicle: Vehicle) -> str:
-    """What to say of a true robot that is the MuSHR by default, for a car of another size or top speed; else empty."""
+    """What to say of a simulated car of another size or top speed than the vehicle's; else empty.
+
+    It is the MuSHR by default, or one that scenario or vehicle file state and the footprint does not cover.
+    """
     robot, source = natural_robot(vehicle)
-    by_default = scenario.truth.kind is None and robot.car is not None and ("truth",) not in source.keys
-    shape, top_speed = vehicle.footprint, load_vehicle(MUSHR).top_speed
-    ratios = [stated / true for stated, true in zip((shape.length, shape.width), MUSHR_SIZE, strict=True)]
+    if scenario.truth.kind is not None:
+        return "" if scenario.truth.car is None else _uncovered(scenario.truth.car, vehicle)
+    if robot.car is None:
+        return ""
+    return _uncovered(robot.car, vehicle) if ("truth",) in source.keys else _by_default(vehicle)
+
+
+def _by_default(vehicle: Vehicle) -> str:
+    """What to say of the MuSHR that drives because nothing else is stated."""
+    shape, size, top_speed = vehicle.footprint, CAR_SIZES["mushr"], load_vehicle(MUSHR).top_speed
+    ratios = [stated / true for stated, true in zip((shape.length, shape.width), size, strict=True)]
     alike = all(1.0 / ALIKE < ratio < ALIKE for ratio in ratios)
-    if not by_default or (alike and 1.0 / ALIKE_SPEED < vehicle.top_speed / top_speed < ALIKE_SPEED):
+    if alike and 1.0 / ALIKE_SPEED < vehicle.top_speed / top_speed < ALIKE_SPEED:
         return ""
     return (
-        f"the true robot is the MuSHR ({MUSHR_SIZE[0]:g} m x {MUSHR_SIZE[1]:g} m, top speed {top_speed:.2g} m/s) "
+        f"the true robot is the MuSHR ({size[0]:g} m x {size[1]:g} m, top speed {top_speed:.2g} m/s) "
         f"because neither the scenario nor the file of {vehicle.name} ({shape.length:g} m x {shape.width:g} m, "
         f"top speed {vehicle.top_speed:.2g} m/s) states another, such as truth: {{car: {{length: {shape.length:g}, "
         f"width: {shape.width:g}, drive: {{top_speed: {vehicle.top_speed:.2g}, time_constant: 0.5}}}}}}"
+    )
+
+
+def _uncovered(car: CarDimensions, vehicle: Vehicle) -> str:
+    """What to say of a stated car that reaches farther than the footprint of its model; else empty."""
+    shape, (length, width) = vehicle.footprint, car.size
+    ends, side = (length - shape.length) / 2.0 + abs(shape.offset), (width - shape.width) / 2.0
+    if ends <= UNCOVERED * length and side <= UNCOVERED * width:
+        return ""
+    return (
+        f"the true robot ({length:g} m x {width:g} m) is not covered by the footprint of {vehicle.name} "
+        f"({shape.length:g} m x {shape.width:g} m) and reaches up to {max(ends, side):.2g} m beyond it, where "
+        f"nothing keeps it from obstacles; expected footprint: {{length: {length:g}, width: {width:g}}} in the file "
+        "of the vehicle"
     )
 
 

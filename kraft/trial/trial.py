@@ -23,7 +23,7 @@ from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import model_of
 from kraft.planning.workspace import start_state, workspace_of
 from kraft.simulation.true_world import TrueWorld, world_of
-from kraft.trial.cause import Cause, collision_cause, timeout_cause
+from kraft.trial.cause import Cause, CauseKind, collision_cause, timeout_cause
 from kraft.trial.closest_approach import ClosestApproach
 from kraft.trial.measures import Measures, Step, measure, normalised_squares
 from kraft.trial.oracle import OracleEstimator, true_model
@@ -218,6 +218,8 @@ class _Trial:
         """Cause of a collision or a timeout; None of a success."""
         if outcome is Outcome.SUCCESS:
             return None
+        if outcome is Outcome.TIMEOUT and self.world.frame.has_turned_over(self.world.marker[1]):
+            return Cause(kind=CauseKind.STUCK, text="the robot has turned over: it lies on its side or its roof")
         find = collision_cause if outcome is Outcome.COLLISION else timeout_cause
         footprint = self._model.vehicle.footprint
         return find(log.cycles, log.steps, footprint, self._model.pose, realtime=self._realtime)

@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import cache, lru_cache
 from os import fspath
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from kraft.config import bundled
 from kraft.config.document import Document
@@ -126,10 +126,6 @@ def configured(config: VehicleConfig) -> Vehicle:
 
 def _errors(of_speed: SpeedPrediction) -> OpenLoopErrors:
     return OpenLoopErrors(of_speed.speeds, of_speed.after, of_speed.along, of_speed.across, of_speed.yaw)
-
-
-MUSHR_SIZE: Final = (0.44, 0.27)
-"""Length and width of the simulated MuSHR, m."""
 
 
 def natural_robot(vehicle: Vehicle) -> tuple[Robot, Source]:

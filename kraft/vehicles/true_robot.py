@@ -16,6 +16,8 @@ from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 
 Text = Annotated[str, StringConstraints(min_length=1)]
 KINDS: Final = ("car", "mjcf", "model")
+CAR_SIZES: Final = {"mushr": (0.44, 0.27), "f1tenth": (0.58, 0.31)}
+"""Length and width of the simulated car of each preset, m."""
 
 
 class Wheels(StrictModel):
@@ -79,6 +81,12 @@ class CarDimensions(StrictModel):
     """{angle_max_deg, rate_deg, linkage}"""
     tyres: Tyres = Tyres()
     """{friction}"""
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Length and width, m."""
+        length, width = CAR_SIZES[self.preset]
+        return self.length or length, self.width or width
 
 
 class Robot(StrictModel):

@@ -211,8 +211,38 @@ def test_a_car_has_the_dimensions_that_are_given_and_those_of_its_preset() -> No
     design = design_of(given)
     assert (design.wheelbase, design.chassis_mass, design.wheel_radius) == (0.4, 5.0, 0.06)
     assert design.steering_rate == pytest.approx(math.pi / 2)
-    assert design.stiffness / F1TENTH.stiffness == pytest.approx(5.0 / F1TENTH.chassis_mass)
+    assert design.stiffness / F1TENTH.stiffness == pytest.approx(5.0 / F1TENTH.chassis_mass / 1.2)
     assert (design.track, design.front) == (F1TENTH.track, F1TENTH.front)
+
+
+def test_a_car_with_other_wheels_is_a_car_of_that_scale() -> None:
+    """Heights as of the default car would tip a car of a tenth over in its first turn."""
+    small = CarDimensions(
+        length=0.11, width=0.0663, wheelbase=0.0741, track=0.0575, mass=0.0553,
+        wheels=Wheels(radius=0.0122, width=0.01025, mass=0.0078), drive=Drive(top_speed=1.2, time_constant=0.4),
+    )  # fmt: skip
+    design = design_of(small)
+    assert design.centre_of_mass / small.track == pytest.approx(MUSHR.centre_of_mass / MUSHR.track)
+    assert design.effective_mass / (design.chassis_mass + 4 * design.wheel_mass) == pytest.approx(
+        MUSHR.effective_mass / (MUSHR.chassis_mass + 4 * MUSHR.wheel_mass), rel=0.01
+    )
+    sag = design.chassis_mass / design.stiffness / design.travel
+    assert sag == pytest.approx(MUSHR.chassis_mass / MUSHR.stiffness / MUSHR.travel)
+    truth = "length: 0.11, width: 0.0663, wheelbase: 0.0741, track: 0.0575, mass: 0.0553"
+    wheels, motor = "{radius: 0.0122, width: 0.01025, mass: 0.0078}", "{top_speed: 1.2, time_constant: 0.4}"
+    scene = hall(f"car: {{{truth}, wheels: {wheels}, drive: {motor}}}")
+    assert scene.truth.car == small
+    world = drive(world_of(scene, vehicle("mushr-drive"), 0), (1.0, 0.3), 3.0)
+    assert not world.frame.has_turned_over(world.marker[1])
+    assert world.speed == pytest.approx(1.2, rel=0.1)
+
+
+def test_a_car_with_a_high_chassis_turns_over() -> None:
+    scene = hall("car: {preset: f1tenth, track: 0.08, drive: {top_speed: 4.0, time_constant: 0.4}}")
+    world = drive(world_of(scene, vehicle("mushr-drive"), 0), (1.0, 0.0), 1.5)
+    assert not world.frame.has_turned_over(world.marker[1])
+    drive(world, (1.0, 0.38), 1.5)
+    assert world.frame.has_turned_over(world.marker[1])
 
 
 def test_a_drive_reaches_its_speed_with_its_time_constant() -> None:

@@ -95,3 +95,16 @@ def test_what_cannot_be_true_of_a_row_is_said() -> None:
     assert "top speed 0.71 m/s" in other_robot(slope, fast)
     for name in ("mushr", "mushr-drive", "f1tenth", "jackal", "unicycle2"):
         assert other_robot(slope, load_vehicle(name)) == ""
+
+
+def test_a_true_car_that_reaches_beyond_the_footprint_is_said() -> None:
+    van = load_scenario("turns", {"truth.car": {"length": 2.2, "width": 1.2}})
+    assert "reaches up to 0.9 m beyond it" in other_robot(van, load_vehicle("mushr"))
+    long = load_scenario("turns", {"truth.car": {"length": 0.6}})
+    assert "(0.6 m x 0.27 m) is not covered by the footprint of mushr-drive" in other_robot(
+        long, load_vehicle("mushr-drive")
+    )
+    covered = replace(load_vehicle("mushr-drive"), footprint=Footprint(2.2, 1.2), file="", name="van")
+    assert other_robot(van, covered) == ""
+    for name in ("mushr", "mushr-drive"):
+        assert other_robot(load_scenario("turns", {"truth.car": {"mass": 5.0}}), load_vehicle(name)) == ""
