@@ -216,6 +216,18 @@ def for_turns(base: BaseVehicle, logs: Sequence[Log]) -> BaseVehicle:
     return replace(base, definition=changed, vehicle=configured(changed))
 
 
+def with_backward_commands(base: BaseVehicle, logs: Sequence[Log]) -> BaseVehicle:
+    """The car with throttle as far below 0 as the logs have it, at most as far as above: it can brake and reverse."""
+    config = base.definition
+    assert isinstance(config, VehicleConfig)  # a vehicle file
+    low, high = base.vehicle.controls["throttle"]
+    logged = min(float(part.commands[:, log.controls.index("throttle")].min()) for log in logs for part in log.parts)
+    if logged >= low:
+        return base
+    changed = config.with_controls({**base.vehicle.controls, "throttle": (max(logged, -high), high)})
+    return replace(base, definition=changed, vehicle=configured(changed))
+
+
 def for_sides(base: BaseVehicle, logs: Sequence[Log]) -> BaseVehicle:
     """The robot with two driven sides with the limits of the commands in the logs, the same for both sides."""
     config = base.definition

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from kraft.errors import InputError, NegativeResult
-from kraft.sysid.base_vehicle import BaseVehicle, for_commands, for_turns, load_base_vehicle, with_speed
+from kraft.sysid.base_vehicle import (
+    BaseVehicle,
+    for_commands,
+    for_turns,
+    load_base_vehicle,
+    with_backward_commands,
+    with_speed,
+)
 from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.data import check_any, usable_logs
 from kraft.sysid.identify import identify
@@ -221,7 +228,7 @@ def _known(name: str, logs: Sequence[Log], settings: Settings, on_iteration: OnI
         found = identify(base.definition, less, settings, on_iteration)
     except (InputError, NegativeResult):  # a singular fit: the commands are not in this model's units
         return None
-    return IdentifiedCar(base, found)
+    return IdentifiedCar(with_backward_commands(base, logs), found)
 
 
 def _judged(model: IdentifiedCar, logs: Sequence[Log], settings: Settings) -> _Candidate:

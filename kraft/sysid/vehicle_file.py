@@ -262,7 +262,7 @@ def _flow(value: Any) -> str:
 
 
 def _number(value: float) -> str:
-    return f"{value:.{DIGITS}g}"
+    return f"{value + 0.0:.{DIGITS}g}"  # 0, not -0
 
 
 def _text(text: str, *, flow: bool = True) -> str:

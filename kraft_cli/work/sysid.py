@@ -158,6 +158,7 @@ def run_sysid(
             *identification.notes,
             *unit_notes(units),
             *_wheelbase_note(base, identification, settings, units),
+            *_braking_note(request, base),
             *excluded,
             *_preview_note(request, identification),
             *((taken_over,) if taken_over else ()),
@@ -278,6 +279,17 @@ def _wheelbase_note(
         f"poses do not show {WHEELBASE}, the wheelbase, but its ratio to the steering: it is taken as {assumed:g} m, "
         f"and {angles} are those of such a car; state the measured one with --param {WHEELBASE}=..., with which "
         "predictions of a car whose wheels turn little are about the same",
+    )
+
+
+def _braking_note(request: SysidRequest, base: BaseVehicle) -> tuple[str, ...]:
+    """The note that a car plans without brakes because it is written with the commands of logs that have none."""
+    limits = base.vehicle.controls.get("throttle", (-1.0, 1.0))
+    if request.out is None or not has_terms(base.definition) or limits[0] < 0.0:
+        return ()
+    return (
+        f"the logs have no throttle below 0, so that the vehicle of {request.out} neither brakes nor drives backwards: "
+        "if the car can, log such drives too (in simulation those of kraft record --for car-lag)",
     )
 
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
 import pytest
 
+from kraft.sysid.base_vehicle import load_base_vehicle
 from kraft.sysid.interface import ModelTrial
-from kraft_cli.work.sysid import SysidResult
+from kraft.vehicles.config import VehicleConfig
+from kraft.vehicles.load import configured
+from kraft_cli.work.sysid import SysidRequest, SysidResult, _braking_note
 from kraft_cli.work.sysid_report import BY_MODEL, choice_lines, model_caption
 
 
@@ -47,3 +52,15 @@ def test_a_row_of_a_model_that_was_fitted_to_the_logs_it_predicts_is_named() -> 
 def test_the_rule_of_a_choice_is_told_where_another_row_is_better(other: float, says: bool) -> None:
     rows = [ModelTrial("car", (), "", {1.0: other, 2.0: 0.05}, False), ModelTrial("b", (), "", {1.0: 0.01}, True)]
     assert choice_lines(rows, BY_MODEL) == ([BY_MODEL] if says else [])
+
+
+@pytest.mark.parametrize(("least", "says"), [(0.0, True), (-0.3, False)])
+def test_a_file_of_a_car_without_brakes_is_noted(least: float, says: bool) -> None:
+    base = load_base_vehicle("car")
+    assert isinstance(base.definition, VehicleConfig)
+    config = base.definition.with_controls({"throttle": (least, 1.0), "steering": (-0.3, 0.3)})
+    car = replace(base, definition=config, vehicle=configured(config))
+    noted = _braking_note(SysidRequest(logs=(), out=Path("car.yaml")), car)
+    assert bool(noted) == says
+    assert all("car.yaml neither brakes nor drives backwards" in note for note in noted)
+    assert _braking_note(SysidRequest(logs=()), car) == ()

@@ -21,6 +21,7 @@ from kraft.sysid.base_vehicle import (
     for_sides,
     for_turns,
     load_base_vehicle,
+    with_backward_commands,
     with_recorded_commands,
     with_speed,
 )
@@ -262,6 +263,18 @@ def test_a_fast_car_without_lags_is_not_fitted_with_lags() -> None:
     assert found.base.name == "car"
     errors = prediction_errors(found.base.definition, [drive(model, 90)], found.identification.values)
     assert errors.position[3.0] < 0.03
+
+
+def test_a_known_car_has_the_backward_commands_of_the_logs() -> None:
+    """The model knows no braking, and predicts it nevertheless: without these commands its plans could only coast."""
+    base = load_base_vehicle("mushr-lag")
+    forward, braking = drive(car(), 0, low=(0.1, -0.5)), drive(car(), 1, low=(-0.6, -0.5))
+    assert with_backward_commands(base, [forward]) is base
+    changed = with_backward_commands(base, [forward, braking])
+    (part,) = braking.parts
+    assert changed.vehicle.controls["throttle"] == (pytest.approx(part.commands[:, 0].min()), 1.0)
+    assert part.commands[:, 0].min() < -0.2
+    assert changed.vehicle.controls["steering"] == base.vehicle.controls["steering"]
 
 
 def test_a_window_begins_where_the_car_is_although_the_model_does_not_explain_how_it_came_there() -> None:
