@@ -88,30 +88,37 @@ Layout = Callable[[np.random.Generator, Size, float], dict[str, Any]]
 """Sections of a scenario for a vehicle; the last argument is the density of clutter."""
 
 
-def _arena(rng: np.random.Generator, size: Size, fill: Callable[[float, float], list[Obstacle]]) -> dict[str, Any]:
-    """An arena with outer walls; start and goal lie at its ends."""
+def _arena(
+    rng: np.random.Generator, size: Size, fill: Callable[[float, float, layouts.Gap], list[Obstacle]]
+) -> dict[str, Any]:
+    """An arena with outer walls; start and goal lie at its ends.
+
+    `fill` makes the obstacles of one for smaller vehicles, of a width, a length and with gaps (m), which are enlarged.
+    """
     scale = size.scale
     width, length = scale * float(rng.uniform(4.0, 5.0)), scale * float(rng.uniform(5.0, 6.0))
     end = 0.5 * scale
     start, goal = (scale * float(rng.uniform(0.6, width / scale - 0.6)) for _ in range(2))
+    least, most = size.gap
+    filled = fill(width / scale, length / scale, (least / scale, most / scale))
     return {
         "bounds": {"x": [0.0, width], "y": [0.0, length]},
-        "obstacles": [*fill(width, length), *layouts.outer_walls(width, length)],
+        "obstacles": [*layouts.enlarged(filled, scale), *layouts.outer_walls(width, length)],
         "start": {"x": start, "y": end, "heading_deg": 90.0},
         "goal": {"center": [goal, length - end], "radius": 0.25 * scale},
     }
 
 
 def _rooms(rng: np.random.Generator, size: Size, density: float) -> dict[str, Any]:
-    return _arena(rng, size, lambda width, length: layouts.divided(rng, width, length, size.gap))
+    return _arena(rng, size, lambda width, length, gap: layouts.divided(rng, width, length, gap))
 
 
 def _rows(rng: np.random.Generator, size: Size, density: float) -> dict[str, Any]:
-    return _arena(rng, size, lambda width, length: layouts.rows_of_posts(rng, width, length, size.gap))
+    return _arena(rng, size, lambda width, length, gap: layouts.rows_of_posts(rng, width, length, gap))
 
 
 def _clutter(rng: np.random.Generator, size: Size, density: float) -> dict[str, Any]:
-    return _arena(rng, size, lambda width, length: layouts.clutter(rng, width, length, density))
+    return _arena(rng, size, lambda width, length, _: layouts.clutter(rng, width, length, density))
 
 
 def _posts(rng: np.random.Generator, size: Size, density: float) -> dict[str, Any]:

@@ -35,6 +35,18 @@ def circle(center: Vec2, radius: float) -> Obstacle:
     return {"circle": {"center": center, "radius": radius}}
 
 
+def enlarged(obstacles: Sequence[Obstacle], scale: float) -> list[Obstacle]:
+    """The same obstacles with all lengths times `scale`."""
+    lengths = {"center", "size", "radius", "vertices"}
+    return [
+        {
+            shape: {key: (scale * np.array(value)).tolist() if key in lengths else value for key, value in of.items()}
+            for shape, of in obstacle.items()
+        }
+        for obstacle in obstacles
+    ]
+
+
 def outer_walls(width: float, length: float) -> list[Obstacle]:
     """Walls around the bounds."""
     return [

@@ -20,7 +20,7 @@ from kraft.planning.workspace import start_state
 from kraft.scenario import Box, OccupancyMap, load_scenario
 from kraft.vehicles.load import load_vehicle
 from kraft.worlds import layouts
-from kraft.worlds.generate import ITERATIONS, KINDS, MIXED, Size, generate, generate_worlds
+from kraft.worlds.generate import ITERATIONS, KINDS, LARGE, LAYOUTS, MIXED, Size, generate, generate_worlds
 from kraft_cli.main import main
 from ompl_ext.vehicle import Footprint, Vehicle
 
@@ -95,6 +95,18 @@ def test_larger_vehicles_get_larger_worlds() -> None:
     huge = replace(load_vehicle("mushr"), footprint=Footprint(2.0, 1.0))
     assert Size.of(huge).scale == pytest.approx(math.hypot(2, 1) / math.hypot(0.51, 0.43))
     assert Size.of(huge).gap[0] > math.hypot(2, 1)
+
+
+@pytest.mark.parametrize("kind", ["rooms", "rows", "clutter"])
+def test_an_arena_of_a_larger_vehicle_is_the_same_one_enlarged(kind: str) -> None:
+    """Obstacles of half a metre all over a large arena leave a large vehicle no way."""
+    small, large = (
+        LAYOUTS[kind](np.random.default_rng(3), Size(scale * LARGE, scale), 0.15)["obstacles"][:-4]  # less outer walls
+        for scale in (1.0, 3.0)
+    )
+    assert len(small) == len(large) > 3
+    areas = [sum(map(layouts.area, obstacles)) for obstacles in (small, large)]
+    assert areas[1] == pytest.approx(9.0 * areas[0])
 
 
 def test_every_cell_of_a_maze_is_reached_on_one_way_and_walls_stand_between_the_others() -> None:
