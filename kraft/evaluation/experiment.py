@@ -16,6 +16,7 @@ from kraft.driving.control import check_packages
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
 from kraft.evaluation.job import Job
+from kraft.evaluation.paper import is_of_paper
 from kraft.evaluation.suite import Entry, ScenarioLike, Settings, Sweeps, entries_of, list_problems, repeated_names
 from kraft.planning.feasibility import check_placement
 from kraft.planning.workspace import start_state
@@ -50,12 +51,16 @@ MethodLike: TypeAlias = str | Path | Method
 
 @dataclass(frozen=True)
 class Cell:
-    """Row of a results table: a method in an entry, with its planning model."""
+    """Row of a results table: a method in an entry, with its planning model.
+
+    `of_paper` is whether scenario, method and planning model are the bundled ones of a result of the paper.
+    """
 
     entry: Entry
     method: Method
     reference: str
     vehicle: Vehicle
+    of_paper: bool
 
     @property
     def scenario(self) -> Scenario:
@@ -197,6 +202,7 @@ def _cells(
                     checked.add(reference)
                     check_placement(scenario, model, start_state(scenario, model))
                     check_robot(scenario, model)
-                yield Cell(entry, method, reference, model)
+                unchanged = not entry.settings and reference == vehicle_reference(scenario, method)
+                yield Cell(entry, method, reference, model, unchanged and is_of_paper(scenario, method))
             except InputError as error:
                 problems += error.diagnostics

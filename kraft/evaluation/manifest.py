@@ -65,6 +65,7 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
                 "method": cell.method.name,
                 "title": cell.method.title,
                 "vehicle": labels[cell.reference],
+                "of_paper": cell.of_paper,
                 **_score(cell.scenario),
             }
             for cell in cells

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
+
+from kraft.driving.method import Method, load_method
+from kraft.scenario import Scenario, load_scenario
 
 
 @dataclass(frozen=True)
@@ -86,3 +89,17 @@ _TABLES: Final = {
 def paper_row(scenario: str, method: str) -> PaperRow | None:
     """Result of a method in a scenario in the paper, by their bundled names; None if the paper has none."""
     return _TABLES.get(scenario, {}).get(method)
+
+
+def is_of_paper(scenario: Scenario, method: Method) -> bool:
+    """Whether the paper has this method in this scenario: both are the bundled ones of their names, texts apart.
+
+    A file may have the name of a bundled scenario or method and another content.
+    """
+    if paper_row(scenario.name, method.name) is None:
+        return False
+    bundled_scenario, bundled_method = load_scenario(scenario.name), load_method(method.name)
+    texts = {"title", "description"}
+    return replace(scenario, description="") == replace(bundled_scenario, description="") and (
+        method.model_dump(exclude=texts) == bundled_method.model_dump(exclude=texts)
+    )

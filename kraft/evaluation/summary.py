@@ -39,7 +39,8 @@ WALL_CLOCK: Final = (
 class RowName:
     """Entry, scenario, settings, method, the method's title, and the entry's score of a row of a results table.
 
-    `bound` is a lower bound of the time to the goal, s; None in older evaluations.
+    `bound` is a lower bound of the time to the goal, s; None in older evaluations.  `of_paper` is whether the paper has
+    this method in this scenario.
     """
 
     entry: str
@@ -49,6 +50,7 @@ class RowName:
     title: str
     score: Score | None = None
     bound: float | None = None
+    of_paper: bool = True
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class Result:
         scoring: how the scenario is scored; None for most.
         score: mean score of all trials; None without scoring.
         against: comparison with the method `kraft` on the same seeds; None for itself and where it was not run.
-        paper: result in the paper; None where keys were set.
+        paper: result in the paper; None where keys were set, or something else is not as bundled.
     """
 
     entry: str
@@ -163,6 +165,7 @@ def summarise(experiment: Experiment, rows: Mapping[Key, TrialRow], wall: float)
             cell.method.title,
             cell.scenario.trial.score,
             None if (seconds := experiment.bounds.get(cell.entry.name)) is None else round(seconds, 6),
+            cell.of_paper,
         )
         for cell in experiment.cells
     ]
@@ -290,7 +293,7 @@ def _result(name: RowName, rows: Sequence[TrialRow], against: McNemar | None) ->
         scoring=name.score,
         score=sum(scores) / len(scores) if scores else None,
         against=against,
-        paper=None if name.settings else paper_row(name.scenario, name.method),
+        paper=paper_row(name.scenario, name.method) if name.of_paper and not name.settings else None,
     )
 
 

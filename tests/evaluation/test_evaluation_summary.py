@@ -268,3 +268,17 @@ def test_scores_are_means_over_all_trials_and_stand_in_table_overview_json_and_m
     assert "score" not in manifest["rows"][-1]
     assert Manifest.model_validate(manifest).names[0].score == score
     assert labels(summary.summarise(experiment, rows, 1.0)) == []
+
+
+@pytest.mark.parametrize("changed", ["nothing", "scenario", "method", "vehicle"])
+def test_what_has_a_bundled_name_and_another_content_has_no_result_in_the_paper(changed: str, tmp_path: Path) -> None:
+    scenario, method = tmp_path / "turns.yaml", tmp_path / "kraft.yaml"
+    place, margin = ("[1.6, 3.5]" if changed == "scenario" else "[1.5, 3.5]"), 0.02 if changed == "method" else 0.07
+    scenario.write_text(bundled.find("scenario", "turns").read_text().replace("[1.5, 3.5]", place))
+    method.write_text(bundled.find("method", "kraft").read_text().replace("margin: 0.07", f"margin: {margin}"))
+    vehicle = "mushr-lag" if changed == "vehicle" else None
+    own = experiment_of([scenario], [method], trials=1, vehicle=vehicle)
+    (result,) = summary.summarise(own, {}, 0.0).results
+    (recorded,) = Manifest.model_validate(manifest_of(own, {})).names
+    assert result.paper == (paper_row("turns", "kraft") if changed == "nothing" else None)
+    assert recorded.of_paper is (changed == "nothing")

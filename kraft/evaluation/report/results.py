@@ -39,7 +39,10 @@ class _Part(BaseModel):
 
 
 class RecordedCell(_Part):
-    """Cell of the experiment as the manifest records it; older manifests have no title and no entries."""
+    """Cell of the experiment as the manifest records it.
+
+    Older manifests have no title, no entries, and the paper's results wherever the names are those of the paper.
+    """
 
     entry: str = ""
     base: str = ""
@@ -48,6 +51,7 @@ class RecordedCell(_Part):
     set: dict[str, Any] = {}
     method: str
     title: str = ""
+    of_paper: bool = True
     score: Score | None = None
 
     @property
@@ -101,6 +105,7 @@ class Manifest(_Part):
                 cell.title or cell.method,
                 cell.score,
                 self.bounds_s.get(cell.name),
+                cell.of_paper,
             )
             for cell in self.rows
         ]
