@@ -156,13 +156,14 @@ class Summary:
 
 def summarise(experiment: Experiment, rows: Mapping[Key, TrialRow], wall: float) -> Summary:
     """Summarise the finished trials of an experiment."""
+    titles = distinct_titles({cell.method.name: cell.method.title for cell in experiment.cells})
     names = [
         RowName(
             cell.entry.name,
             cell.scenario.name,
             cell.entry.settings,
             cell.method.name,
-            cell.method.title,
+            titles[cell.method.name],
             cell.scenario.trial.score,
             None if (seconds := experiment.bounds.get(cell.entry.name)) is None else round(seconds, 6),
             cell.of_paper,
@@ -170,6 +171,12 @@ def summarise(experiment: Experiment, rows: Mapping[Key, TrialRow], wall: float)
         for cell in experiment.cells
     ]
     return tabulate(names, experiment.seeds, rows, wall, realtime=experiment.realtime)
+
+
+def distinct_titles(titles: Mapping[str, str]) -> dict[str, str]:
+    """Title of each method by its name; where several have the same title, each with its name."""
+    counts = Counter(titles.values())
+    return {name: title if counts[title] == 1 else f"{title} ({name})" for name, title in titles.items()}
 
 
 def tabulate(

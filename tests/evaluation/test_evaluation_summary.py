@@ -282,3 +282,13 @@ def test_what_has_a_bundled_name_and_another_content_has_no_result_in_the_paper(
     (recorded,) = Manifest.model_validate(manifest_of(own, {})).names
     assert result.paper == (paper_row("turns", "kraft") if changed == "nothing" else None)
     assert recorded.of_paper is (changed == "nothing")
+
+
+def test_methods_of_the_same_title_have_their_names_in_tables_and_page(tmp_path: Path) -> None:
+    copy = tmp_path / "mine.yaml"
+    copy.write_text(bundled.find("method", "kraft").read_text().replace("name: kraft", "name: mine"))
+    found = experiment_of(["turns"], ["kraft", copy, "oneshot-openloop"], trials=1)
+    titles = ["KRAFT (kraft)", "KRAFT (mine)", "OneShot + OpenLoop"]
+    (table,) = tables(summary.summarise(found, {}, 0.0))
+    assert [row[0] for row in table.rows] == titles
+    assert [name.title for name in Manifest.model_validate(manifest_of(found, {})).names] == titles

@@ -16,7 +16,7 @@ from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.journal import Key, Replays, TrialRow
 from kraft.evaluation.manifest import MANIFEST, read_manifest, scenario_content
 from kraft.evaluation.summary import FILE as SUMMARY
-from kraft.evaluation.summary import RowName, Summary, recorded_wall, tabulate, wall_of
+from kraft.evaluation.summary import RowName, Summary, distinct_titles, recorded_wall, tabulate, wall_of
 from kraft.scenario import Scenario, Score, load_scenario
 from kraft.text import grouped, slugs
 
@@ -96,13 +96,14 @@ class Manifest(_Part):
     @property
     def names(self) -> list[RowName]:
         """Name of every row."""
+        titles = distinct_titles({cell.method: cell.title or cell.method for cell in self.rows})
         return [
             RowName(
                 cell.name,
                 cell.scenario,
                 cell.set,
                 cell.method,
-                cell.title or cell.method,
+                titles[cell.method],
                 cell.score,
                 self.bounds_s.get(cell.name),
                 cell.of_paper,
