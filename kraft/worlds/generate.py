@@ -46,7 +46,7 @@ SEARCHES: Final = 100
 ITERATIONS: Final = 20_000
 """Iterations of each search: those of `kraft plan` by default."""
 DENSITY, DENSITY_MAX = 0.15, 0.5
-"""Share of the floor that clutter covers, by default and at most."""
+"""Areas of all clutter over that of the floor between start and goal, by default and at most."""
 LARGE: Final = math.hypot(0.51, 0.43)
 """Diagonal of a Jackal (m): rooms, posts and tracks suit vehicles up to this size, and grow with larger ones."""
 TRIAL: Final = {"timeout": 60, "oneshot_timeout": 30}
@@ -216,7 +216,7 @@ def generate_worlds(
         seed: seed of the first world.
         count: number of worlds, at most `COUNT_MAX`.
         vehicle: vehicle of all worlds; by default a `mushr`, a `jackal` for posts and an `f1tenth` for tracks.
-        density: share of the floor that clutter covers.
+        density: areas of all clutter over that of the floor between start and goal; overlaps count twice.
         log: gets a message before kernels are compiled, and one for each world that has a plan.
 
     Raises:

@@ -105,7 +105,10 @@ def anything(rng: np.random.Generator, width: float, length: float) -> Obstacle:
 
 
 def clutter(rng: np.random.Generator, width: float, length: float, density: float) -> list[Obstacle]:
-    """Obstacles of all shapes that cover a share of the floor between start and goal, overlaps counted twice."""
+    """Obstacles of all shapes whose areas add up to a share of that of the floor between start and goal.
+
+    That floor ends 1.1 m before both ends of the room.  Overlaps count twice, so less than the share is covered.
+    """
     found: list[Obstacle] = []
     covered, wanted = 0.0, density * width * (length - 2.2)
     while covered < wanted:

@@ -32,7 +32,10 @@ Out = Annotated[Path, typer.Option(metavar="DIR", help="New folder for the scena
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the first world; the next ones follow.")]
 Count = Annotated[int, typer.Option(metavar="N", help="Number of worlds, up to 10,000.")]
 Density = Annotated[
-    float | None, typer.Option(metavar="SHARE", help="Share of the floor that clutter covers, 0.15 by default.")
+    float | None,
+    typer.Option(
+        metavar="SHARE", help="Areas of all clutter over that of the floor between start and goal, 0.15 by default."
+    ),
 ]
 
 

@@ -120,7 +120,7 @@ def test_every_cell_of_a_maze_is_reached_on_one_way_and_walls_stand_between_the_
     assert long == pytest.approx(4 * 4 + 5 * 3 - len(openings))
 
 
-def test_clutter_covers_the_share_that_is_asked_for() -> None:
+def test_the_areas_of_clutter_add_up_to_the_share_that_is_asked_for() -> None:
     for density in (0.05, 0.3):
         found = layouts.clutter(np.random.default_rng(1), 5.0, 6.0, density)
         covered = sum(map(layouts.area, found)) / (5.0 * (6.0 - 2.2))
