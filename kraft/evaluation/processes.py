@@ -24,6 +24,11 @@ from ompl_ext.signals import STOPPING
 
 DEATHS: Final = 2  # workers that die in a trial, after which it has failed
 FAILED_STARTS: Final = 3  # workers in a row that die before they are ready
+RAISED: Final = "exit code 1"  # of a process that ends with an exception, such as one on its import of the script
+UNGUARDED: Final = (
+    "; what they raised is above. Worker processes import the script that calls evaluate: it needs "
+    'if __name__ == "__main__": around the call'
+)
 
 
 @dataclass(eq=False)
@@ -135,7 +140,7 @@ def _handle_death(state: _State, worker: _Worker, log: Log) -> TrialRow | None:
     if job is None:
         state.failed_starts += not worker.ready
         if state.failed_starts >= FAILED_STARTS:
-            raise Defect(f"worker processes do not start ({how})")
+            raise Defect(f"worker processes do not start ({how}){UNGUARDED if how == RAISED else ''}")
         return None
     state.deaths[job.key] += 1
     if state.deaths[job.key] >= DEATHS:

@@ -123,6 +123,14 @@ def test_a_simulator_that_does_not_load_is_a_missing_dependency(monkeypatch: pyt
         evaluate(["turns"], ["kraft"], 1)
 
 
+def test_workers_that_raise_before_they_are_ready_name_the_guard_that_a_script_needs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(processes, "serve", dead_worker.raises)
+    with pytest.raises(Defect, match=r'exit code 1.*if __name__ == "__main__":'):
+        evaluate(["turns"], ["kraft"], 1)
+
+
 def test_workers_that_do_not_start_are_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(processes, "serve", dead_worker.ends)
     with pytest.raises(Defect, match="exit code 9"):
