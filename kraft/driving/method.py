@@ -26,8 +26,9 @@ from kraft.config.schema import (
 )
 from kraft.config.source import Source
 from kraft.driving.control_settings import PREDICTIVE, ControllerSettings, Seconds
-from kraft.errors import Code, InputError
+from kraft.errors import Code, Diagnostic, InputError
 from kraft.vehicles import check_state
+from kraft.vehicles.load import problem_of
 
 if TYPE_CHECKING:
     from ompl_ext.vehicle import Vehicle
@@ -376,20 +377,28 @@ def check_vehicle(method: Method, vehicle: Vehicle, *, own: bool) -> None:
             does not state; at the line of the method that names the vehicle, if one does.
     """
     check_state(vehicle)
-    problem = unstated_ranges(vehicle) if isinstance(method.estimator, Adaptive) else ""
-    if problem and own:
-        problem = f"{vehicle.name} {problem}"
-        raise InputError([method.source.diagnostic("planner.vehicle", problem, RANGES_EXPECTED, code=Code.MISSING)])
-    if problem:
-        raise InputError.of(vehicle.name, problem, RANGES_EXPECTED, Code.MISSING)
+    if not isinstance(method.estimator, Adaptive):
+        return
+    problem = unstated_ranges(vehicle)
+    if problem is not None and own:
+        what = f"{vehicle.name} {problem.problem}"
+        raise InputError([method.source.diagnostic("planner.vehicle", what, problem.expected, code=problem.code)])
+    if problem is not None:
+        raise InputError([problem])
 
 
-def unstated_ranges(vehicle: Vehicle) -> str:
-    """Why the parameters of a vehicle cannot be estimated while it drives; empty if they can."""
-    missing = [name for name in vehicle.parameters if name not in vehicle.ranges]
+def unstated_ranges(vehicle: Vehicle) -> Diagnostic | None:
+    """Why the parameters of a vehicle cannot be estimated while it drives, at its file; None if they can."""
+    reason = "because the method estimates parameters while it drives"
     if not vehicle.parameters:
-        return "has no parameters"
-    return f"states no min, max and std of {', '.join(missing)}" if missing else ""
-
-
-RANGES_EXPECTED = "expected them in its file, because the method estimates parameters while it drives"
+        return Diagnostic(vehicle.name, "has no parameters", f"expected at least one, {reason}", code=Code.MISSING)
+    missing = ", ".join(name for name in vehicle.parameters if name not in vehicle.ranges)
+    if not missing:
+        return None
+    problem = f"states no min, max and std of {missing}"
+    if vehicle.file:
+        expected = f"expected each parameter with these, or with `fixed: true` if its value is known, {reason}"
+    else:
+        ranges = "ranges={name: ParameterRange(low, high, std)}, with std 0 and both bounds the value if that is known"
+        expected = f"expected {ranges}, or a vehicle file that states them, {reason}"
+    return problem_of(vehicle, "parameters", problem, expected, Code.MISSING)

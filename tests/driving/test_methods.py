@@ -148,12 +148,21 @@ def test_a_trial_with_a_vehicle_without_ranges_is_refused_when_it_is_specified(t
     with pytest.raises(InputError) as caught:
         TrialSpec.load("turns", "adaptive-kraft", vehicle="benchmark")
     (problem,) = caught.value.diagnostics
-    assert (problem.file, problem.line, problem.code) == ("benchmark", None, Code.MISSING)
+    assert (Path(problem.file).name, problem.path, problem.code) == ("benchmark.yaml", "parameters", Code.MISSING)
+    assert "`fixed: true`" in problem.expected
     (tmp_path / "m.yaml").write_text(ADAPTIVE.replace("mushr-force", "benchmark"))
     with pytest.raises(InputError) as caught:
         TrialSpec.load("turns", tmp_path / "m.yaml")
     (problem,) = caught.value.diagnostics
     assert (problem.file, problem.line, problem.code) == (str(tmp_path / "m.yaml"), 3, Code.MISSING)
+
+
+def test_a_vehicle_in_code_without_ranges_is_told_how_code_states_them() -> None:
+    with pytest.raises(InputError) as caught:
+        TrialSpec.load("turns", "adaptive-kraft", vehicle="kraft.vehicles.mushr:MUSHR")
+    (problem,) = caught.value.diagnostics
+    assert (problem.file, problem.code) == ("mushr", Code.MISSING)
+    assert "ranges={name: ParameterRange(low, high, std)}" in problem.expected
 
 
 BARE = """from ompl_ext import Footprint, Vehicle, cos, derivative, sin

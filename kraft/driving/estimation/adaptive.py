@@ -30,9 +30,9 @@ from kraft.driving.estimation.sloping_floor import (
     slope_told,
 )
 from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
-from kraft.driving.method import RANGES_EXPECTED, Adaptive, unstated_ranges
+from kraft.driving.method import Adaptive, unstated_ranges
 from kraft.driving.vehicle_model import VehicleModel
-from kraft.errors import Code, InputError
+from kraft.errors import InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec
 from kraft.vehicles import DELAY_MAX
 from ompl_ext.arrays import Floats, Matrix
@@ -298,8 +298,8 @@ def online_parameters(vehicle: Vehicle, settings: Adaptive, sloping: bool = Fals
     Raises:
         InputError: if the vehicle states no range of a parameter.
     """
-    if problem := unstated_ranges(vehicle):
-        raise InputError.of(vehicle.name, problem, RANGES_EXPECTED, Code.MISSING)
+    if (problem := unstated_ranges(vehicle)) is not None:
+        raise InputError([problem])
     ranges = vehicle.ranges
     known = frozenset(name for name, allowed in ranges.items() if allowed.is_known)
     specs = [
