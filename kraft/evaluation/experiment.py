@@ -21,6 +21,7 @@ from kraft.evaluation.suite import Entry, ScenarioLike, Settings, Sweeps, entrie
 from kraft.planning.feasibility import check_placement
 from kraft.planning.workspace import start_state
 from kraft.scenario import Scenario
+from kraft.trial.far_camera import far_camera
 from kraft.trial.planning_vehicle import (
     check_robot,
     load_planning_vehicle,
@@ -74,7 +75,7 @@ class Cell:
 
 
 WARNINGS: Final[tuple[Callable[[Cell], str], ...]] = (
-    lambda cell: cell.scenario.far_camera(),
+    lambda cell: far_camera(cell.scenario),
     lambda cell: other_robot(cell.scenario, cell.vehicle),
     lambda cell: uncorrected_slope(cell.scenario, cell.method, cell.vehicle),
 )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Final
 
 from kraft.config.source import Source
 from kraft.scenario.geometry import Obstacle, Vec2
@@ -16,9 +15,6 @@ from kraft.scenario.schema import (
     Trial,
 )  # fmt: skip
 from kraft.scenario.truth import Truth
-
-FARTHEST_MEASURED: Final = 7.6
-"""Distance from the camera up to which the errors of `single-tag` were measured, m."""
 
 
 @dataclass(frozen=True)
@@ -93,17 +89,3 @@ class Scenario(Task):
     def task(self) -> Task:
         """Part of the scenario that the robot knows."""
         return Task(**{f.name: getattr(self, f.name) for f in fields(Task)})
-
-    def far_camera(self) -> str:
-        """What to say of a camera much farther from start or goal than its errors were measured; else empty."""
-        x, y, height = self.sensing.camera
-        places = {"start": (self.start.x, self.start.y), "goal": self.goal.center}
-        away = {name: math.hypot(place[0] - x, place[1] - y, height) for name, place in places.items()}
-        far = {name: distance for name, distance in away.items() if distance > 2.0 * FARTHEST_MEASURED}
-        if self.sensing.preset != "single-tag" or not far:
-            return ""
-        listed = " and ".join(f"{distance:.0f} m from the {name}" for name, distance in far.items())
-        return (
-            f"the camera is {listed}; errors of the poses of a tag are measured up to {FARTHEST_MEASURED:g} m and grow "
-            "to metres there: place it nearer (sensing.camera), or state other sensing (sensing.preset: planar)"
-        )

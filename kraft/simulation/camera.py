@@ -195,6 +195,11 @@ class CameraNoise:
     bias: tuple[float, float]
     dropout: float
 
+    def position_error(self, distance: float, phi: float) -> float:
+        """Root mean square error of a frame's position without the bias, m; see `PowerLaw` for distance and phi."""
+        along = self.along.mean.at(distance, phi), self.along.size.at(distance, phi)
+        return math.hypot(*along, self.across.size.at(distance, phi))
+
 
 DEGREE: Final = math.pi / 180.0
 NORMAL_MAX: Final = 4.0

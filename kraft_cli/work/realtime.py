@@ -19,6 +19,7 @@ from kraft.robot.priority import leave_signals_to_planner, process_context
 from kraft.robot.robot_file import JOINT_STATE, CommandOutput, Loopback, Robot, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
 from kraft.text import finite, metres
+from kraft.trial.far_camera import far_camera
 from kraft.trial.planning_vehicle import other_robot
 from kraft.trial.result import Outcome, outcome_text
 from kraft.vehicles import is_car
@@ -102,10 +103,11 @@ def _load(request: RunRequest, asked: DriveRequest) -> DriveFiles:
 def _for_vehicle(robot: Robot, files: DriveFiles, report: Callable[[str], None]) -> Robot:
     """The robot with commands for the vehicle that drives: of a car, or joints with the controls of another one.
 
-    `report` receives a warning of a true robot that is not like the vehicle.
+    `report` receives warnings of poses that are worse than measured, and of a true robot that is not like the vehicle.
     """
-    if text := other_robot(files.scenario, files.vehicle):
-        report(f"warning: {text}")
+    for text in (far_camera(files.scenario), other_robot(files.scenario, files.vehicle)):
+        if text:
+            report(f"warning: {text}")
     if is_car(files.vehicle):
         return robot
     own = robot.command

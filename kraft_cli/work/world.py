@@ -18,6 +18,7 @@ from kraft.robot.robot_file import Loopback, Robot, Rosbridge, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
 from kraft.scenario import Scenario, load_scenario
 from kraft.text import counted, finite, metres
+from kraft.trial.far_camera import far_camera
 from kraft.trial.planning_vehicle import check_robot, other_robot
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
 from kraft.vehicles.load import load_vehicle
@@ -65,8 +66,9 @@ def simulate(
         report(
             f"{scenario.name} is on {place_of(robot)}: poses on {robot.pose.topic}, commands from {robot.command.topic}"
         )
-        if text := other_robot(scenario, vehicle):
-            report(f"warning: {text}")
+        for text in (far_camera(scenario), other_robot(scenario, vehicle)):
+            if text:
+                report(f"warning: {text}")
         with TrialOutputs(options, spec) as outputs:
             if on_open is not None:
                 on_open(world)

@@ -306,10 +306,3 @@ def test_values_of_changes_are_set_by_their_keys() -> None:
     given = {"truth.changes": [{"time": 4.0, "floor_friction": 0.2}]}
     scene = load_scenario("turns", given)
     assert scene.truth.changes[0].time == 4.0
-
-
-def test_a_camera_far_from_where_the_vehicle_drives_is_said() -> None:
-    assert load_scenario("boxes", {}).far_camera() == ""
-    bounds = {"bounds.x": [-1, 30], "sensing.camera": [25.0, 0.0, 5.0]}
-    assert "m from the start" in load_scenario("boxes", bounds).far_camera()
-    assert load_scenario("boxes", {**bounds, "sensing.preset": "planar"}).far_camera() == ""
