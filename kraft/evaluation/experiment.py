@@ -29,6 +29,7 @@ from kraft.trial.planning_vehicle import (
     uncorrected_slope,
     vehicle_reference,
 )
+from kraft.trial.unguided_goal import unguided_goal
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from ompl_ext.vehicle import Vehicle
@@ -76,6 +77,7 @@ class Cell:
 
 WARNINGS: Final[tuple[Callable[[Cell], str], ...]] = (
     lambda cell: far_camera(cell.scenario),
+    lambda cell: unguided_goal(cell.scenario, cell.method),
     lambda cell: other_robot(cell.scenario, cell.vehicle),
     lambda cell: uncorrected_slope(cell.scenario, cell.method, cell.vehicle),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import Final, Self
@@ -9,6 +10,7 @@ from typing import Final, Self
 import numpy as np
 
 from kraft.driving.messages import ContingencyOrigin, Cycle, ReferenceKind, as_driven
+from kraft.scenario import Goal
 from kraft.text import counted, finite
 from kraft.trial.measures import Record, Step, farthest_point
 from ompl_ext.arrays import Matrix
@@ -103,9 +105,10 @@ def collision_cause(
 
 
 def timeout_cause(
-    cycles: Sequence[Cycle], steps: Sequence[Step], footprint: Footprint, pose: Sequence[int], *, realtime: bool
-) -> Cause:
-    """Cause of a timeout right after the last of the `steps`; see `collision_cause`."""
+    cycles: Sequence[Cycle], steps: Sequence[Step], footprint: Footprint, pose: Sequence[int], goal: Goal, *,
+    realtime: bool,
+) -> Cause:  # fmt: skip
+    """Cause of a timeout right after the last of the `steps`, in which the `goal` was missed; see `collision_cause`."""
     end = steps[-1].time
     since = end - max(WINDOW, end / 3.0)
     late = [cycle for cycle in cycles if cycle.time >= since]
@@ -131,10 +134,21 @@ def timeout_cause(
     if extent < STANDS:
         planned = counted(len(late), "cycle")
         text = f"the car moved {extent:.2f} m in the last {end - max(since, 0.0):.3g} s, with plans in {planned}"
-        return Cause(kind=CauseKind.STUCK, text=text)
+        return Cause(kind=CauseKind.STUCK, text=text + _missing_in_goal(goal, steps[-1].pose))
     left = late[-1].cost_to_goal
     text = f"the last plan needed {left:.1f} s more" if np.isfinite(left) else "the car was still driving at the end"
-    return Cause(kind=CauseKind.TOO_SLOW, text=text)
+    return Cause(kind=CauseKind.TOO_SLOW, text=text + _missing_in_goal(goal, steps[-1].pose))
+
+
+def _missing_in_goal(goal: Goal, pose: tuple[float, float, float]) -> str:
+    """What a car at a pose (m, m, rad) in the goal's disc lacks of the rest of the goal; empty outside of the disc."""
+    if math.dist(pose[:2], goal.center) > goal.radius:
+        return ""
+    if goal.heading is None or goal.heading_tolerance is None or goal.contains(*pose, {}):
+        return ", and was in the goal's disc, but not within goal.limits" if goal.limits else ""
+    off = math.degrees(abs(math.remainder(pose[2] - goal.heading, math.tau)))
+    allowed = math.degrees(goal.heading_tolerance)
+    return f", and was in the goal's disc with a heading {off:.3g} degrees off, of which {allowed:.3g} are allowed"
 
 
 def estimate_errors(

@@ -116,7 +116,7 @@ class _Trial:
             if isinstance(settings, Oracle)
             else make_estimator(settings, model, start, camera_model(scenario))
         )
-        self._model, self._realtime = model, spec.realtime
+        self._model, self._realtime, self._goal = model, spec.realtime, scenario.goal
         self._communication_delay = scenario.sensing.communication_delay
         self.period = 1.0 / method.controller.rate_hz
         solvers = Solvers.of(scenario.task(), vehicle, method.planner)
@@ -218,11 +218,12 @@ class _Trial:
         """Cause of a collision or a timeout; None of a success."""
         if outcome is Outcome.SUCCESS:
             return None
-        if outcome is Outcome.TIMEOUT and self.world.frame.has_turned_over(self.world.marker[1]):
+        of = log.cycles, log.steps, self._model.vehicle.footprint, self._model.pose
+        if outcome is Outcome.COLLISION:
+            return collision_cause(*of, realtime=self._realtime)
+        if self.world.frame.has_turned_over(self.world.marker[1]):
             return Cause(kind=CauseKind.STUCK, text="the robot has turned over: it lies on its side or its roof")
-        find = collision_cause if outcome is Outcome.COLLISION else timeout_cause
-        footprint = self._model.vehicle.footprint
-        return find(log.cycles, log.steps, footprint, self._model.pose, realtime=self._realtime)
+        return timeout_cause(*of, self._goal, realtime=self._realtime)
 
     @property
     def _true_pose(self) -> tuple[float, float, float]:

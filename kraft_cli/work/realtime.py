@@ -22,6 +22,7 @@ from kraft.text import finite, metres
 from kraft.trial.far_camera import far_camera
 from kraft.trial.planning_vehicle import other_robot
 from kraft.trial.result import Outcome, outcome_text
+from kraft.trial.unguided_goal import unguided_goal
 from kraft.vehicles import is_car
 from kraft_cli.work.drive import DriveFiles, Driven, DriveRequest, drive_json, drive_robot, drive_table, load_files
 from kraft_cli.work.run import RunRequest
@@ -103,9 +104,12 @@ def _load(request: RunRequest, asked: DriveRequest) -> DriveFiles:
 def _for_vehicle(robot: Robot, files: DriveFiles, report: Callable[[str], None]) -> Robot:
     """The robot with commands for the vehicle that drives: of a car, or joints with the controls of another one.
 
-    `report` receives warnings of poses that are worse than measured, and of a true robot that is not like the vehicle.
+    `report` receives warnings: of poses worse than measured, of a goal that nothing guides to, of another true robot.
     """
-    for text in (far_camera(files.scenario), other_robot(files.scenario, files.vehicle)):
+    scenario = files.scenario
+    for text in (
+        far_camera(scenario), unguided_goal(scenario, files.method), other_robot(scenario, files.vehicle)
+    ):  # fmt: skip
         if text:
             report(f"warning: {text}")
     if is_car(files.vehicle):

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from kraft.driving.messages import ContingencyOrigin, Cycle, PredictedMotion, Reference, ReferenceKind
+from kraft.scenario import Goal
 from kraft.trial.cause import CauseKind, collision_cause, estimate_errors, timeout_cause
 from kraft.trial.measures import Step
 from ompl_ext.vehicle import Footprint
 
 FOOTPRINT = Footprint(0.4, 0.2)
 POSE = (0, 1, 2)
+GOAL = Goal((50.0, 0.0), 0.2)
 PLAN, STOP = ReferenceKind.PLAN, ReferenceKind.CONTINGENCY
 
 
@@ -52,7 +54,7 @@ def collided(cycles: list[Cycle], ticks: list[Step], realtime: bool = False) -> 
 
 
 def timed_out(cycles: list[Cycle], ticks: list[Step], realtime: bool = False) -> CauseKind:
-    return timeout_cause(cycles, ticks, FOOTPRINT, POSE, realtime=realtime).kind
+    return timeout_cause(cycles, ticks, FOOTPRINT, POSE, GOAL, realtime=realtime).kind
 
 
 @pytest.mark.parametrize(
@@ -121,7 +123,24 @@ def test_a_timeout_has_the_cause_that_most_of_the_last_cycles_show(each: Any, sp
 
 
 def test_a_single_plan_that_ends_off_the_goal_is_a_deviation() -> None:
-    found = timeout_cause([cycle(0)], steps(30.0, speed=0.5), FOOTPRINT, POSE, realtime=False)
+    found = timeout_cause([cycle(0)], steps(30.0, speed=0.5), FOOTPRINT, POSE, GOAL, realtime=False)
     assert found.kind == CauseKind.DEVIATION
     assert found.text.startswith("the car was 0.500 m from the plan at its end, 1.0 s")
     assert timed_out([cycle(0, kind=STOP, reason="none")], steps(30.0)) == CauseKind.NO_PLAN
+
+
+@pytest.mark.parametrize(
+    ("goal", "text"),
+    [
+        (
+            Goal((0.0, 0.1), 0.2, math.radians(70.0), math.radians(10.0)),
+            "a heading 70 degrees off, of which 10 are allowed",
+        ),
+        (Goal((0.0, 0.1), 0.2, 0.0, 0.1, {"hitch": (0.5, 0.6)}), "but not within goal.limits"),
+        (Goal((0.0, 0.3), 0.2, math.radians(70.0), math.radians(10.0)), "with plans in 10 cycles"),
+    ],
+)
+def test_a_car_that_stands_in_the_disc_of_the_goal_is_said_to_lack_the_rest_of_it(goal: Goal, text: str) -> None:
+    found = timeout_cause([cycle(k) for k in range(30)], steps(30.0, speed=0.0), FOOTPRINT, POSE, goal, realtime=False)
+    assert found.kind == CauseKind.STUCK
+    assert found.text.endswith(text)
