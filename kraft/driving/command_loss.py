@@ -81,15 +81,20 @@ class CommandLoss:
     def slower(self, plan: Plan, root: Floats, cycle: float, seed: int) -> Iterator[Plan]:
         """The plan from `root` (nx,) with less and less drive in its first `cycle` s, where that is free and safe.
 
-        Then it goes on as it was, as far as it is free.  The tree of `dirt` is replaced, with `seed` for its numbers.
+        Then it goes on as it was, as far as it is free, and it has a contingency if SAFETY asks for one.  The tree of
+        `dirt` is replaced, with `seed` for its numbers.
         """
         dirt = self.dirt
         for share in SHARES if len(plan.durations) > 0 else ():
             controls, durations, slowed = _slowed_edges(plan, self._driven, share, cycle, dirt.settings.longest)
             dirt.start(root, seed)
             retained = dirt.retain_edges(np.arange(len(durations)) - 1, controls, durations, optimised=True)
-            if retained >= slowed:
-                yield dirt.plan_to(int(dirt.retained_nodes[retained - 1]))
+            if retained < slowed:
+                continue
+            slower = dirt.plan_to(int(dirt.retained_nodes[retained - 1]))
+            # one that ends within the cycle ends where no plan had to: short of the goal that the faster one reached
+            if slower.contingency is not None or not dirt.safety.enabled:
+                yield slower
 
 
 def _slowed_edges(plan: Plan, driven: Bools, share: float, cycle: float, longest: float) -> tuple[Matrix, Floats, int]:

@@ -162,6 +162,22 @@ def test_a_slower_plan_has_less_drive_for_a_cycle_and_leads_the_same_way() -> No
     assert away.max() < 0.05
 
 
+@pytest.mark.parametrize(("y", "some"), [(5.25, True), (5.3, False)])
+def test_a_slower_plan_that_ends_within_the_cycle_where_nothing_stops_the_car_is_none(y: float, some: bool) -> None:
+    """It ends short of the goal that the plan reaches, too near to the wall for a contingency."""
+    root, control = np.array([1.2, y, math.pi / 2, SPEED]), np.array([[0.9, 0.0]])
+    trajectory, slack = DIRT.edge(root, control[0], 0.3)
+    assert slack > 0.0
+    plan = Plan(
+        controls=control, durations=np.array([0.3]), states=trajectory[[0, -1]],
+        times=np.linspace(0.0, 0.3, len(trajectory)), trajectory=trajectory,
+        cost=0.3, cost_to_go=0.0, reaches_goal=True, contingency=None,
+    )  # fmt: skip
+    found = slower(SOLVERS, plan)
+    assert bool(found) is some
+    assert all(each.contingency is not None for each in found)
+
+
 def test_of_a_vehicle_with_two_driven_sides_both_are_slowed() -> None:
     vehicle = load_vehicle("jackal")
     task = load_scenario("posts").task()
