@@ -74,11 +74,15 @@ def allocate(steps: int, states: int, logs: int, nx: int, np_: int) -> Eliminate
 
 @inlined
 def factorise(a: Matrix, n: int) -> None:
-    """Lower Cholesky factor of a (n, n) in place."""
+    """Lower Cholesky factor of a (n, n) in place.
+
+    A pivot that is not positive is what rounding left of the information of a component that no pose shows; its size
+    says how much that may be.
+    """
     for j in range(n):
         for k in range(j):
             a[j, j] -= a[j, k] * a[j, k]
-        a[j, j] = math.sqrt(a[j, j])
+        a[j, j] = math.sqrt(max(-a[j, j], TINY) if a[j, j] <= 0.0 else a[j, j])
         for i in range(j + 1, n):
             for k in range(j):
                 a[i, j] -= a[i, k] * a[j, k]
