@@ -15,6 +15,7 @@ from support.evaluation import KEYS, kept, places, room_for
 from support.paths import ROOT
 from support.screen import Screen
 
+from kraft.config import bundled
 from kraft.evaluation import METHODS, evaluator
 from kraft.evaluation.suite import load_suite
 from kraft.evaluation.table import COLUMNS, MEANINGS
@@ -288,12 +289,11 @@ def test_a_start_in_collision_is_found_before_any_trial(capsys: pytest.CaptureFi
     assert not Path("o").exists()
 
 
-@pytest.mark.parametrize("vehicle", ["benchmark"])
 def test_a_vehicle_whose_parameters_cannot_be_estimated_is_found_before_any_trial(
-    vehicle: str, capsys: pytest.CaptureFixture[str]
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert main(["eval", "turns", "--methods", "kraft,adaptive-kraft", "--vehicle", vehicle, "--out", "o"]) == 2
-    assert places(capsys.readouterr().err) == [vehicle]
+    assert main(["eval", "turns", "--methods", "kraft,adaptive-kraft", "--vehicle", "benchmark", "--out", "o"]) == 2
+    assert places(capsys.readouterr().err) == [f"{bundled.folder('vehicle') / 'benchmark.yaml'}:10:3"]
     assert not Path("o").exists()
 
 

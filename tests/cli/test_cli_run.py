@@ -17,6 +17,7 @@ import pytest
 from support.evaluation import places
 from support.paths import ROOT
 
+from kraft.config import bundled
 from kraft.driving.method import load_method
 from kraft.evaluation.journal import digest
 from kraft.scenario import load_scenario
@@ -150,13 +151,16 @@ def test_a_collision_names_what_was_hit(short: Path) -> None:
     assert dict(run_table(run))["result"].startswith("collision with pillar after ")
 
 
+BENCHMARK = bundled.folder("vehicle") / "benchmark.yaml"
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
         (["short.yaml", "--method", "krft"], ["krft"]),
         (["shrt"], ["shrt"]),
         (["short.yaml", "--vehicle", "mushrr"], ["mushrr"]),
-        (["short.yaml", "--method", "adaptive-kraft", "--vehicle", "benchmark"], ["benchmark"]),
+        (["short.yaml", "--method", "adaptive-kraft", "--vehicle", "benchmark"], [f"{BENCHMARK}:10:3"]),
         (["short.yaml", "--seed", "-1"], ["--seed"]),
         (["short.yaml", "--method", ""], ["--method"]),
         (["short.yaml", "--out", "."], ["."]),
