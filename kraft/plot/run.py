@@ -167,7 +167,7 @@ def _legend_entries(
         LegendEntry("estimated speed", "line", ESTIMATED, ESTIMATED_WIDTH),
         LegendEntry("true values", "line", INK, 1.6),
         LegendEntry("camera", "dots", OBSERVATION, 2 * OBSERVATION_SIZE),
-        LegendEntry("a cycle begins", "line", RULE, 0.5),
+        *([LegendEntry("a cycle begins", "line", RULE, 0.5)] if _shows_cycles(drive.result) else []),
         LegendEntry(f"vehicle every {run_footprint_interval(drive):g} s", "outline", INK),
         *(
             LegendEntry(f"{NAMES[kind]}, unknown to the planner", "outline", HIDDEN[kind][1], face=HIDDEN[kind][0])
@@ -178,6 +178,8 @@ def _legend_entries(
     return entries
 
 
+CYCLES_MAX: Final = 80
+"""Number of cycles up to which the curves show where each of them begins."""
 ESTIMATED: Final = "#a3178f"
 ESTIMATED_WIDTH: Final = 2.6  # pt; wider than the planned speed on it, because some methods estimate just that
 OBSERVATION: Final = "#7d8896"
@@ -270,11 +272,18 @@ def _with_ends(result: TrialResult) -> Iterator[tuple[Cycle, float]]:
     return zip(result.cycles, ends, strict=False)  # a trial that ends at its start has no cycle
 
 
+def _shows_cycles(result: TrialResult) -> bool:
+    """Whether so few cycles begin that their lines do not merge."""
+    return len(result.cycles) <= CYCLES_MAX
+
+
 def _draw_cycles(axes: Axes, result: TrialResult) -> None:
+    shown = _shows_cycles(result)
     for cycle, end in _with_ends(result):
         if cycle.kind is ReferenceKind.CONTINGENCY:
             axes.axvspan(cycle.time, end, color=WARNING_PALE, linewidth=0, zorder=0)
-        axes.axvline(cycle.time, color=RULE, linewidth=0.5, zorder=0.5)
+        if shown:
+            axes.axvline(cycle.time, color=RULE, linewidth=0.5, zorder=0.5)
 
 
 def draw_hidden_features(axes: Axes, frame: Frame, things: Sequence[HiddenFeature]) -> None:

@@ -32,7 +32,7 @@ from kraft.vehicles.identification_record import (
     PoseNoise,
     Prediction,
 )
-from kraft.vehicles.reference import split_file
+from kraft.vehicles.reference import relative_vehicle
 from kraft.vehicles.true_robot import Robot, with_files
 
 if TYPE_CHECKING:
@@ -210,26 +210,18 @@ def _robot(robot: Robot, source: Source, folder: Path) -> dict[str, Any]:
     content = robot.model_dump(mode="json", exclude_defaults=True)
     files, _ = with_files(robot, Path(source.file).parent, source)  # they were there when the file was loaded
     if "model" in files:
-        content["model"] = _relative(files["model"], folder)
+        content["model"] = relative_vehicle(files["model"], folder)
     if robot.car is not None:
         content["car"] = {"preset": robot.car.preset, **content["car"]}
     if "mjcf" in files:
-        content["mjcf"] = os.path.relpath(files["mjcf"], folder.absolute())
+        content["mjcf"] = os.path.relpath(files["mjcf"], os.path.realpath(folder))
     return content
 
 
 def _model(reference: str, folder: Path) -> str:
     """Reference to the model for a file in `folder`; code in a file by its path relative to the folder."""
-    relative = _relative(reference, folder)
+    relative = relative_vehicle(reference, folder)
     return relative if relative == reference else _text(relative)
-
-
-def _relative(reference: str, folder: Path) -> str:
-    """Reference to a vehicle; a file by its path relative to `folder`."""
-    path, attribute = split_file(reference) or (reference, "")
-    if not os.path.isabs(path):  # a name, or a module
-        return reference
-    return os.path.relpath(path, folder.absolute()) + (f":{attribute}" if attribute else "")
 
 
 # Written by hand: a Dumper of PyYAML that keeps this layout needs the same rules for quotes, flow style and digits, and

@@ -66,6 +66,14 @@ def resolve_vehicle(reference: str, folder: Path) -> str:
     return _existing(folder / reference, "a vehicle's YAML file")
 
 
+def relative_vehicle(reference: str, folder: Path) -> str:
+    """A resolved reference for a file in `folder`: a path relative to it, so that both can be moved together."""
+    path, attribute = split_file(reference) or (reference, "")
+    if not os.path.isabs(path):  # a name, or a module
+        return reference
+    return os.path.relpath(path, os.path.realpath(folder)) + (f":{attribute}" if attribute else "")
+
+
 def _existing(path: Path, what: str) -> str:
     if not os.path.isfile(path):
         raise VehicleProblem(f"there is no file {path}", f"expected the path of {what}", Code.NOT_FOUND)

@@ -282,7 +282,12 @@ def generate(
             continue
         searches += 1
         if finds_plan(task, loaded, ITERATIONS):
-            words = ["kraft generate", kind, f"--seed {seed}", *([f"--vehicle {vehicle}"] if vehicle else [])]
+            words = [
+                "kraft generate",
+                kind,
+                f"--seed {seed}",
+                *([f"--vehicle {Path(vehicle).name}"] if vehicle else []),
+            ]
             words += [f"--density {density:g}"] if density and kind == "clutter" else []
             return replace(world, remark=f"Written by {' '.join(words)}{world.remark}.")
         if searches == SEARCHES:

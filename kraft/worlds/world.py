@@ -18,7 +18,7 @@ from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_placement, check_reachable
 from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario import Trial, parse_scenario
-from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
+from kraft.vehicles.reference import VehicleProblem, relative_vehicle, resolve_vehicle
 
 Log: TypeAlias = Callable[[str], None]
 """Receives the messages for the user."""
@@ -138,6 +138,7 @@ def write_worlds(worlds: Sequence[World], out: Path, suite: str, description: st
     """
     check_new_folder(out)
     _check_names(worlds)
+    worlds = [_in_folder(world, out) for world in worlds]
     with new_folder(out) as folder:
         for world in worlds:
             for name, content in {**world.files, f"{world.name}.yaml": world.text.encode()}.items():
@@ -149,6 +150,13 @@ def write_worlds(worlds: Sequence[World], out: Path, suite: str, description: st
         heading = [f"name: {value_text(plain_name(suite))}", f"description: {value_text(description)}", "entries:"]
         (folder / SUITE).write_text("\n".join([*heading, *entries]) + "\n", encoding="utf-8")
     return Written(out, tuple(out / f"{world.name}.yaml" for world in worlds))
+
+
+def _in_folder(world: World, folder: Path) -> World:
+    """World whose vehicle, if it is a file, is found from a folder."""
+    if "vehicle" not in world.content:
+        return world
+    return replace(world, content={**world.content, "vehicle": relative_vehicle(world.content["vehicle"], folder)})
 
 
 def _check_names(worlds: Sequence[World]) -> None:

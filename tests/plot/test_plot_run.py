@@ -152,6 +152,16 @@ def test_long_drives_have_fewer_footprints(driven: TrialResult) -> None:
     assert run_footprint_interval(dataclasses.replace(drive, motion=longer)) > 1
 
 
+def test_the_begin_of_cycles_is_shown_where_the_lines_do_not_merge(driven: TrialResult) -> None:
+    shown = []
+    for result in (driven, dataclasses.replace(driven, cycles=driven.cycles * 40)):
+        drive = DrivenTrajectory.of(driven, MOVABLE.start)
+        line = driven_line(Frame.around(MOVABLE.bounds), drive, MUSHR.top_speed)
+        entries = _legend_entries(dataclasses.replace(drive, result=result), line, ())
+        shown.append("a cycle begins" in {entry.text for entry in entries})
+    assert shown == [True, False]
+
+
 def test_an_unknown_format_is_refused(driven: TrialResult, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"\.png"):
         plot_run(tmp_path / "a.bmp", MOVABLE.task(), MUSHR, driven)

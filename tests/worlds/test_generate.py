@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -182,3 +183,13 @@ def test_a_density_that_leaves_no_way_is_refused(monkeypatch: pytest.MonkeyPatch
         generate("clutter", 0, "jackal", 0.5)
     assert [d.code for d in caught.value.diagnostics] == [Code.VALUE]
     assert caught.value.diagnostics[0].argument
+
+
+def test_worlds_and_their_vehicle_may_be_moved_together(tmp_path: Path) -> None:
+    (tmp_path / "here" / "cars").mkdir(parents=True)
+    car = shutil.copy(ROOT / "configs" / "vehicles" / "mushr.yaml", tmp_path / "here" / "cars" / "own.yaml")
+    generate_worlds("rooms", tmp_path / "here" / "worlds", vehicle=str(car))
+    (tmp_path / "here").rename(tmp_path / "there")
+    moved = tmp_path / "there" / "worlds" / "rooms-000.yaml"
+    assert str(tmp_path) not in moved.read_text()
+    assert load_scenario(moved).vehicle == str((tmp_path / "there" / "cars" / "own.yaml").resolve())
