@@ -12,14 +12,21 @@ FARTHEST_MEASURED: Final = 7.6
 """Distance from the camera up to which the errors of `single-tag` were measured, m."""
 
 
-def far_camera(scenario: Scenario) -> str:
-    """What to say of a camera whose poses at start or goal are worse than any that were measured; else empty."""
-    sensing, start = scenario.sensing, scenario.start
+def far_camera(scenario: Scenario, *, anywhere: bool = False) -> str:
+    """What to say of a camera whose poses are worse than any that were measured; else empty.
+
+    The poses are those at start and goal, or with `anywhere` those of a vehicle in any corner of the bounds.
+    """
+    sensing, start, bounds = scenario.sensing, scenario.start, scenario.bounds
     if sensing.preset != "single-tag":
         return ""
     x, y, height = sensing.camera
     above = height - MARKER_HEIGHT
-    places = {"start": (start.x, start.y), "goal": scenario.goal.center}
+    if anywhere:
+        corners = ((cx, cy) for cx in bounds.x for cy in bounds.y)
+        places = {"farthest corner": max(corners, key=lambda corner: math.dist(corner, (x, y)))}
+    else:
+        places = {"start": (start.x, start.y), "goal": scenario.goal.center}
     away = {name: math.hypot(place[0] - x, place[1] - y) for name, place in places.items()}
     far = {name: level for name, level in away.items() if math.hypot(level, above) > FARTHEST_MEASURED}
     if not far:

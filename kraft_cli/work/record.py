@@ -14,6 +14,7 @@ from kraft.planning.compilation import ensure_compiled
 from kraft.planning.workspace import vehicle_of_task
 from kraft.recording.manoeuvres import Manoeuvre, read_commands
 from kraft.scenario import Scenario, load_scenario
+from kraft.trial.far_camera import far_camera
 from kraft.trial.planning_vehicle import other_robot
 from kraft.vehicles import is_car
 from kraft.vehicles.config import VehicleConfig
@@ -95,8 +96,9 @@ def record_logs(
     inputs = _inputs(request)
     scenario, vehicle, files, prior = inputs.scenario, inputs.vehicle, inputs.files, inputs.prior
     drives: list[tuple[Manoeuvre, Place | None]] = [(manoeuvre, None) for manoeuvre in inputs.manoeuvres]
-    if text := other_robot(scenario, vehicle):
-        report(f"warning: {text}")
+    for text in (far_camera(scenario, anywhere=True), other_robot(scenario, vehicle)):
+        if text:
+            report(f"warning: {text}")
     ensure_compiled(vehicle, report, steps=not is_car(vehicle))
     recorder = Recorder(scenario, vehicle, request.seed)
     if prior is not None:

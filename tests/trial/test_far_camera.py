@@ -35,3 +35,9 @@ def test_the_error_of_a_position_is_that_of_the_drawn_poses_of_a_marker_that_mov
     near, far = noise.position_error(4.8, 0.0), noise.position_error(13.9, 1.22)
     assert near == pytest.approx(0.042, abs=0.003)  # 26.7 mm along and 28.4 mm across the line of sight, mean 10 mm
     assert far > 1.5
+
+
+def test_the_camera_of_a_recording_is_judged_by_the_farthest_corner() -> None:
+    hall = load_scenario("boxes", {"sensing.camera": [0.0, 0.0, 5.0]})
+    assert "at the farthest corner" in far_camera(hall, anywhere=True)
+    assert far_camera(load_scenario("training"), anywhere=True) == ""
