@@ -108,7 +108,13 @@ def run_evaluation(request: EvalRequest, observer: Observer) -> Evaluation:
 
 
 def _with_resume(diagnostic: Diagnostic, request: EvalRequest) -> Diagnostic:
-    """Diagnostic with the options that resume the folder, if the problem is that the folder exists."""
+    """Diagnostic with the options that resume the folder, if the problem is that the folder exists.
+
+    If files are not found while it is resumed, the diagnostic says what their paths are relative to.
+    """
+    if request.resume and diagnostic.code is Code.NOT_FOUND:
+        began = "; if the evaluation began in another folder, resume it there: its paths are relative to that"
+        return replace(diagnostic, expected=f"{diagnostic.expected}{began}")
     if diagnostic.code is not Code.EXISTS or diagnostic.file != str(request.out):
         return diagnostic
     return replace(diagnostic, expected=f"expected a new folder, or --out {request.out} --resume to continue this one")

@@ -187,6 +187,21 @@ def test_what_is_not_said_when_going_on_comes_from_the_folder_and_what_is_said_i
     assert Path("o/manifest.json").read_bytes() == before
 
 
+def test_an_evaluation_that_is_resumed_in_another_folder_says_what_its_paths_are_relative_to(
+    inline: None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Path("own.yaml").write_text((ROOT / "scenarios" / "slip.yaml").read_text())
+    run_json(capsys, "own.yaml", "--methods", "kraft", "--trials", "1", "--out", "o")
+    Path("elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    assert main(["eval", "--out", "../o", "--resume"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("own.yaml: there is no such file; ")
+    assert "resume it there" in error
+    assert main(["eval", "nowhere.yaml", "--out", "new"]) == 2
+    assert "resume it there" not in capsys.readouterr().err
+
+
 def test_a_folder_that_does_not_tell_what_was_not_said_is_refused(
     inline: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
