@@ -28,7 +28,7 @@ from ompl_ext.configuration import Bounds, Configuration, ControlLayout, check_p
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.parameters import DIRT_PARAMETERS, ParamSet, Value
 from ompl_ext.plan import Plan, TreeView
-from ompl_ext.retainment import remaining_edges
+from ompl_ext.retainment import divided_edges, remaining_edges
 from ompl_ext.system import PlanarGoal
 from ompl_ext.validity import SafetyValidityChecker
 
@@ -42,6 +42,12 @@ class _Retained:
     parents: list[int]
     controls: Matrix
     durations: Floats
+
+    def edges_for(self, si: oc.SpaceInformation) -> tuple[list[int], Matrix, Floats]:
+        """Parents, controls and durations of edges of whole propagation steps, none longer than the longest."""
+        step = si.getPropagationStepSize()
+        rounded = np.maximum(np.floor(self.durations / step + 0.5), 1.0) * step
+        return divided_edges(self.parents, self.controls, rounded, si.getMaxControlDuration() * step)
 
 
 class DIRT(ob.Planner):
@@ -159,7 +165,7 @@ class DIRT(ob.Planner):
             ou.OMPL_ERROR("DIRT: no path for the footprint leads from the start to the goal")
             return status(status.INFEASIBLE)
         if self._retained is not None:
-            self._search.retain(self._retained.parents, self._retained.controls, self._retained.durations)
+            self._search.retain(*self._retained.edges_for(self.getSpaceInformation()))
             self._retained = None
         self._grow(self._search, definition, _condition(limit, interval))  # made here: the maps are not the search
         if isinstance(self._search, CallbackSearch):

@@ -85,17 +85,29 @@ def remaining_edges(
     """Parents, controls and durations of the edges that remain of a path after `elapsed` s.
 
     `controls` has shape (edges, nu), `durations` (edges,).  The edge in progress remains in part.  An edge that lasts
-    more than `longest` s, of a tree with longer ones, becomes several: steps of the integrator are shares of an edge.
-    Parents are indices of edges, -1 for the root.
+    more than `longest` s becomes several, as by `divided_edges`.  Parents are indices of edges, -1 for the root.
     """
     ends = np.cumsum(durations)
     left = ends > elapsed + 1e-9
     durations = np.minimum(durations, ends - elapsed)[left]
+    return divided_edges(range(-1, len(durations) - 1), controls[left], durations, longest)
+
+
+def divided_edges(
+    parents: Sequence[int], controls: Floats, durations: Floats, longest: float
+) -> tuple[list[int], Floats, Floats]:
+    """Parents, controls and durations of the same motions in edges of at most `longest` s, parents before children.
+
+    `controls` has shape (edges, nu), `durations` (edges,); parents are indices of edges, -1 for the root.  An edge of a
+    tree with longer ones becomes several: steps of the integrator are shares of an edge.
+    """
     pieces = np.maximum(np.ceil(durations / longest - 1e-9), 1.0).astype(np.int64)
     last = np.cumsum(pieces) - 1
-    controls, divided = np.repeat(controls[left], pieces, axis=0), np.repeat(np.minimum(durations, longest), pieces)
+    controls, divided = np.repeat(controls, pieces, axis=0), np.repeat(np.minimum(durations, longest), pieces)
     divided[last] = durations - (pieces - 1) * divided[last]
-    return list(range(-1, len(divided) - 1)), controls, divided
+    parent = np.arange(-1, len(divided) - 1)
+    parent[last - pieces + 1] = [-1 if each < 0 else last[each] for each in parents]
+    return parent.tolist(), controls, divided
 
 
 def edges_to_retain(

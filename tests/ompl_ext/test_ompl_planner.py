@@ -149,6 +149,23 @@ def test_a_path_can_be_retained_from_a_later_state(callbacks: bool) -> None:
 
 
 @pytest.mark.parametrize("callbacks", [False, True])
+@pytest.mark.parametrize("what", ["path", "tree"])
+def test_retained_edges_longer_than_the_longest_become_several_on_the_same_way(what: str, callbacks: bool) -> None:
+    before = arena()
+    before.getSpaceInformation().setMinMaxControlDuration(25, 40)  # twice the steps of the next arena
+    first = solved(before, use_callbacks=callbacks)
+    path, setup = before.getSolutionPath(), arena()
+    planner = DIRT(setup.getSpaceInformation(), use_callbacks=callbacks)
+    setup.setPlanner(planner)
+    planner.retain(path) if what == "path" else planner.retain_tree(first.tree())
+    setup.solve(ob.plannerAlwaysTerminatingCondition())
+    assert planner.tree().durations.max() <= 1.0 + 1e-9
+    assert setup.haveExactSolutionPath()
+    assert setup.getSolutionPath().length() <= path.length() + 1e-9  # less if an edge is divided within the goal
+    assert setup.getSolutionPath().check()
+
+
+@pytest.mark.parametrize("callbacks", [False, True])
 def test_an_edge_of_a_path_with_a_control_beyond_the_bounds_is_not_retained(callbacks: bool) -> None:
     setup = arena()
     planner = solved(setup, use_callbacks=callbacks)
