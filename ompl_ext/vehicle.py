@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from numbers import Real
@@ -31,7 +31,13 @@ class Footprint:
     offset: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (self.length > 0 and self.width > 0 and math.isfinite(self.length * self.width * (1 + self.offset))):
+        """Check the rectangle.
+
+        Raises:
+            ValueError: a size is not a positive, or the offset not a finite number.
+        """
+        numbers = all(map(_is_finite, (self.length, self.width, self.offset)))
+        if not (numbers and self.length > 0 and self.width > 0 and math.isfinite(self.length * self.width)):
             raise ValueError(f"footprint sizes must be positive and finite, got {self}")
 
     @property
@@ -82,6 +88,30 @@ class OpenLoopErrors:
     across: tuple[float, ...]
     yaw: tuple[float, ...]
 
+    def __post_init__(self) -> None:
+        """Take any sequences of numbers.
+
+        Raises:
+            ValueError: with every problem.
+        """
+        low, high = _pair(self.speeds)
+        after = _numbers(self.after)
+        problems = []
+        if not 0.0 <= low <= high < math.inf:
+            problems.append(f"speeds need 0 <= low <= high, finite, got {self.speeds}")
+        if not after or not all(0.0 < each < math.inf for each in after) or list(after) != sorted(set(after)):
+            problems.append(f"after needs positive times, ascending, at least one, got {self.after}")
+        for name in ("along", "across", "yaw"):
+            stated = getattr(self, name)
+            values = _numbers(stated)
+            if len(values) != len(after) or not all(0.0 <= each < math.inf for each in values):
+                problems.append(f"{name} needs a finite number of at least 0 for each time in after, got {stated}")
+        if problems:
+            raise ValueError("open-loop errors: " + "; ".join(problems))
+        object.__setattr__(self, "speeds", (low, high))
+        for name in ("after", "along", "across", "yaw"):
+            object.__setattr__(self, name, _numbers(getattr(self, name)))
+
 
 @dataclass(frozen=True)
 class Vehicle:
@@ -128,7 +158,16 @@ class Vehicle:
     """file that its numbers were read from, for messages; empty for a vehicle in code alone"""
 
     def __post_init__(self) -> None:
-        problems = [*_shape_problems(self), *_repetitions(self), *_number_problems(self), *_range_problems(self)]
+        """Take any sequences.
+
+        Raises:
+            ValueError: with every problem.
+        """
+        problems = list(_type_problems(self))
+        if not problems:  # the other checks read what these are about
+            for kind in (*_NAMES, "errors_by_speed"):
+                object.__setattr__(self, kind, tuple(getattr(self, kind)))
+            problems = [*_shape_problems(self), *_repetitions(self), *_number_problems(self), *_range_problems(self)]
         if problems:
             raise ValueError(f"vehicle {self.name!r}: " + "; ".join(problems))
 
@@ -196,19 +235,45 @@ def _source(functions: tuple[Callable[..., Any], ...]) -> str:
         return ""
 
 
+_NAMES = ("state", "inputs", "manoeuvres", "rest")
+
+
+def _type_problems(vehicle: Vehicle) -> Iterator[str]:
+    """Values of another type than the annotated one, up to those within mappings."""
+    if not isinstance(vehicle.name, str) or not vehicle.name:
+        yield f"name must be a text, got {vehicle.name!r}"
+    for kind in _NAMES:
+        names = getattr(vehicle, kind)
+        if isinstance(names, str) or not isinstance(names, Sequence) or not all(isinstance(n, str) for n in names):
+            yield f"{kind} must be a tuple of names, got {names!r}"
+    for kind in ("controls", "parameters", "limits", "ranges"):
+        if not isinstance(getattr(vehicle, kind), Mapping):
+            yield f"{kind} must be a dictionary, got {getattr(vehicle, kind)!r}"
+    for kind in ("derivative", "actuation", "stop"):
+        function, optional = getattr(vehicle, kind), kind != "derivative"
+        if not (callable(function) or (function is None and optional)):
+            yield f"{kind} must be a function{' or None' if optional else ''}, got {function!r}"
+    if not isinstance(vehicle.footprint, Footprint):
+        yield f"footprint must be a Footprint, got {vehicle.footprint!r}"
+    errors = vehicle.errors_by_speed
+    if not isinstance(errors, Sequence) or not all(isinstance(each, OpenLoopErrors) for each in errors):
+        yield f"errors_by_speed must be a tuple of OpenLoopErrors, got {errors!r}"
+
+
 def _shape_problems(vehicle: Vehicle) -> list[str]:
     problems = []
     if not {"x", "y"} <= set(vehicle.state):
         problems.append(f"state needs components named x and y (and theta if it turns), got {vehicle.state}")
-    for name, (low, high) in vehicle.controls.items():
-        if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            problems.append(f"control {name} needs finite bounds with low < high, got ({low}, {high})")
+    for name, bounds in vehicle.controls.items():
+        low, high = _pair(bounds)
+        if not -math.inf < low < high < math.inf:
+            problems.append(f"control {name} needs finite bounds with low < high, got {bounds}")
     for kind, names in (("rest", vehicle.rest), ("limits", vehicle.limits)):
         for name in names:
             if name not in vehicle.state:
                 problems.append(f"{kind} names {name!r}, which is not a state component")
-    if not (vehicle.top_speed > 0 and math.isfinite(vehicle.top_speed)):
-        problems.append(f"top_speed must be positive and finite, got {vehicle.top_speed}")
+    if not (_is_finite(vehicle.top_speed) and vehicle.top_speed > 0):
+        problems.append(f"top_speed must be positive and finite, got {vehicle.top_speed!r}")
     problems += [] if vehicle.controls else ["controls are empty"]
     if (vehicle.actuation is None) != (not vehicle.inputs):
         problems.append("actuation and the names of its outputs, inputs, go together")
@@ -236,16 +301,17 @@ def _repetitions(vehicle: Vehicle) -> Iterator[str]:
 def _number_problems(vehicle: Vehicle) -> Iterator[str]:
     """Parameters that are not numbers, limits that no state keeps, and what is stated for estimators."""
     yield from _parameter_problems(vehicle)
-    for name, (low, high) in vehicle.limits.items():
+    for name, bounds in vehicle.limits.items():
+        low, high = _pair(bounds)
         if not low < high:
-            yield f"the limits of {name} need low < high, got ({low}, {high})"
+            yield f"the limits of {name} need low < high, got {bounds}"
     if vehicle.gravity_share is not None:
-        if not 0.0 < vehicle.gravity_share <= 1.0:
-            yield f"gravity_share must be above 0 and at most 1, got {vehicle.gravity_share}"
+        if not (_is_finite(vehicle.gravity_share) and 0.0 < vehicle.gravity_share <= 1.0):
+            yield f"gravity_share must be above 0 and at most 1, got {vehicle.gravity_share!r}"
         if missing := [name for name in FORCE if name not in vehicle.parameters]:
             yield f"gravity_share needs the parameters {' and '.join(FORCE)}, there is no {' and no '.join(missing)}"
     if vehicle.delay is not None:
-        value, std = vehicle.delay
+        value, std = _pair(vehicle.delay)
         if not (0.0 <= value < math.inf and 0.0 < std < math.inf):
             yield f"delay needs a value of at least 0 s and a positive std, both finite, got {vehicle.delay}"
 
@@ -260,10 +326,32 @@ def _is_finite(value: object) -> bool:
     return isinstance(value, Real) and math.isfinite(value)
 
 
+def _pair(values: object) -> tuple[float, float]:
+    """Two numbers, NaN if the values are anything else."""
+    numbers = _numbers(values)
+    return (numbers[0], numbers[1]) if len(numbers) == 2 else (math.nan, math.nan)
+
+
+def _numbers(values: object) -> tuple[float, ...]:
+    """A sequence of numbers, of which what is no number is NaN; empty if it is no sequence."""
+    if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
+        return ()
+    return tuple(float(each) if isinstance(each, Real) else math.nan for each in values)
+
+
 def _range_problems(vehicle: Vehicle) -> list[str]:
     unknown = [name for name in vehicle.ranges if name not in vehicle.parameters]
     problems = [f"ranges names {name!r}, which is not a parameter" for name in unknown]
     for name, allowed in vehicle.ranges.items():
-        if not (allowed.is_known or (allowed.low < allowed.high and 0 < allowed.std < math.inf)):
+        if not isinstance(allowed, ParameterRange):
+            problems.append(f"the range of {name} needs a ParameterRange, got {allowed!r}")
+        elif not (allowed.is_known or _is_uncertain(allowed)):
             problems.append(f"the range of {name} needs low < high and a finite positive std, got {allowed}")
     return problems
+
+
+def _is_uncertain(allowed: ParameterRange) -> bool:
+    numbers = allowed.low, allowed.high, allowed.std
+    return all(isinstance(each, Real) for each in numbers) and (
+        allowed.low < allowed.high and 0 < allowed.std < math.inf
+    )

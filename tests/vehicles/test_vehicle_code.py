@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from kraft.errors import Code
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import load_scenario, parse_scenario
 from kraft.vehicles.load import RecordedVehicle, load_vehicle
+from kraft.vehicles.mushr import MUSHR
 from kraft.vehicles.true_robot import Robot
+from ompl_ext.vehicle import OpenLoopErrors
 
 EXAMPLE = ROOT / "examples" / "05_vehicle.py"
 
@@ -246,6 +249,48 @@ def test_numbers_that_a_vehicle_cannot_have_are_refused(stated: str, problem: st
     (found,) = raised(lambda: load_vehicle("car.py:CAR"))
     assert found.code is Code.CODE
     assert f"vehicle 'car': {problem}" in found.problem
+
+
+@pytest.mark.parametrize(
+    ("stated", "problems"),
+    [
+        ({"controls": None, "state": "xyv"}, ["state must be a tuple of names, got 'xyv'", "controls must be"]),
+        ({"controls": {"a": 1.0, "b": (0, 1, 2)}}, ["control a needs finite bounds", "control b needs finite bounds"]),
+        ({"top_speed": "1", "limits": {"v": ("0", 1)}}, ["top_speed must be positive", "the limits of v need"]),
+        ({"footprint": (0.4, 0.2), "stop": 3}, ["stop must be a function or None", "footprint must be a Footprint"]),
+        ({"parameters": {"tau": 1.0}, "ranges": {"tau": (0, 1, 1)}}, ["the range of tau needs a ParameterRange"]),
+        ({"delay": 0.1, "gravity_share": "0.5"}, ["gravity_share must be above 0", "delay needs a value"]),
+        ({"errors_by_speed": ((0, 1),), "rest": "v"}, ["rest must be a tuple", "errors_by_speed must be a tuple"]),
+    ],
+)
+def test_values_of_the_wrong_type_are_refused_together(stated: dict[str, object], problems: list[str]) -> None:
+    with pytest.raises(ValueError, match="vehicle 'mushr'") as refused:
+        replace(MUSHR, **stated)  # type: ignore[arg-type]
+    assert all(problem in str(refused.value) for problem in problems)
+
+
+@pytest.mark.parametrize(
+    ("errors", "problem"),
+    [
+        (((0.0, 1.0), (), (), (), ()), "after needs positive times"),
+        (((0.0, 1.0), (2.0, 1.0), (0.1, 0.1), (0.1, 0.1), (0.1, 0.1)), "after needs positive times"),
+        (((0.0, 1.0), (1.0,), (0.1, 0.1), (0.1,), (0.1,)), "along needs"),
+        (((0.0, 1.0), (1.0,), (0.1,), (-0.1,), (0.1,)), "across needs"),
+        (((0.0, 1.0), (1.0,), (0.1,), (0.1,), (np.nan,)), "yaw needs"),
+        (((1.0, 0.0), (1.0,), (0.1,), (0.1,), (0.1,)), "speeds need"),
+        ((1.0, 1.0, 0.1, 0.1, 0.1), "speeds need"),
+    ],
+)
+def test_errors_of_prediction_that_are_none_are_refused(errors: tuple[Any, ...], problem: str) -> None:
+    with pytest.raises(ValueError, match=problem):
+        OpenLoopErrors(*errors)
+
+
+def test_lists_and_arrays_are_taken_where_tuples_are_stated() -> None:
+    errors = OpenLoopErrors([0, 1], np.array([1.0, 2.0]), [0, 0], [0, 0], [0, 0])  # type: ignore[arg-type]
+    assert errors == OpenLoopErrors((0.0, 1.0), (1.0, 2.0), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+    names = {kind: list(getattr(MUSHR, kind)) for kind in ("state", "inputs", "manoeuvres", "rest")}
+    assert replace(MUSHR, **names, errors_by_speed=[]) == MUSHR  # type: ignore[arg-type]
 
 
 def test_numbers_of_any_numeric_type_are_parameters() -> None:
