@@ -11,6 +11,7 @@ import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -310,8 +311,12 @@ class CallbackSearch:
         return 0 if self._safety(self._scratch) is not None else -1
 
     def _measure(self, slot: int) -> bool:
-        """Store a state's distance to the goal region; false if it is not a number."""
-        self._distance[slot] = distance = self._goal_distance(self._states[slot]) - self._threshold
+        """Store a state's distance to the goal region, of any numeric type; false if it is NaN."""
+        stated = self._goal_distance(self._states[slot])
+        if not isinstance(stated, Real):
+            kind = type(self._goal).__name__
+            raise TypeError(f"{kind}.distanceGoal() returned {stated!r}; expected a number")
+        self._distance[slot] = distance = float(stated) - self._threshold
         if math.isnan(distance):
             self._undefined += 1
             return False
@@ -347,7 +352,7 @@ class CallbackSearch:
             return False
         work.end[lane], work.end[LANE_WIDTH + lane] = x, y
         work.togo[lane] = distance / self._top_speed if 0.0 < distance < math.inf and self._top_speed > 0.0 else 0.0
-        work.at_goal[lane] = distance < 0.0 if self._is_region else self._goal.isSatisfied(state)
+        work.at_goal[lane] = distance < 0.0 if self._is_region else bool(self._goal.isSatisfied(state))
         return True
 
     def _read_threshold(self) -> None:

@@ -241,6 +241,10 @@ class DIRT(ob.Planner):
         starts again.  Maps are computed again only for another goal or threshold.
         """
         si, goal = self.getSpaceInformation(), definition.getGoal()
+        if (
+            not si.isSetup()
+        ):  # as OMPL's planners do: it chooses the propagation step and the durations that are not set
+            si.setup()
         durations = si.getPropagationStepSize(), si.getMinControlDuration(), si.getMaxControlDuration()
         target = goal, goal.getThreshold() if isinstance(goal, ob.GoalRegion) else 0.0
         key = (target, si.getStateValidityChecker(), durations, *self._params.getParams().items())

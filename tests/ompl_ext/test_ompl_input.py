@@ -104,6 +104,41 @@ def test_a_goal_whose_class_says_what_satisfies_it_is_asked() -> None:
     assert definition.getGoal().isSatisfied(path.getState(path.getStateCount() - 1))
 
 
+@pytest.mark.parametrize("kind", [np.float32, np.float64, int])
+def test_a_distance_and_an_answer_may_be_of_any_numeric_type(kind: Callable[[float], float]) -> None:
+    class Answers(Region):
+        def isSatisfied(self, state: ob.State) -> bool:  # noqa: N802
+            return np.less(self._distance(state), 0.2)  # type: ignore[no-any-return]
+
+    si = point()
+    for goal in (Region(si, lambda state: kind(to_the_right(state))), Answers(si, to_the_right)):
+        assert after(planner_for(si, goal), 500) == STATUS.EXACT_SOLUTION
+
+
+@pytest.mark.parametrize("wrong", [None, "3", np.array([1.0])])
+def test_a_distance_that_is_no_number_is_refused_by_the_name_of_the_goal(wrong: Any) -> None:
+    si = point()
+    with pytest.raises(TypeError, match=r"Region\.distanceGoal\(\) returned .*; expected a number"):
+        after(planner_for(si, Region(si, lambda state: wrong)), 1)
+
+
+def test_a_space_information_that_is_not_set_up_is_set_up() -> None:
+    space = ob.RealVectorStateSpace(2)
+    space.setBounds(0.0, 4.0)
+    velocity = oc.RealVectorControlSpace(space, 2)
+    velocity.setBounds(pairs((-1.0, 1.0), (-1.0, 1.0)))
+    si = oc.SpaceInformation(space, velocity)  # its propagation step and its durations are not stated
+
+    def propagate(state: ob.State, control: oc.Control, duration: float, result: ob.State) -> None:
+        for k in range(2):
+            result[k] = state[k] + duration * control[k]
+
+    si.setStatePropagator(propagate)
+    si.setStateValidityChecker(space.satisfiesBounds)
+    assert after(planner_for(si, Region(si, to_the_right)), 500) == STATUS.EXACT_SOLUTION
+    assert si.isSetup()
+
+
 def test_an_infinite_distance_says_nothing_and_hides_no_goal() -> None:
     si = point()
     planner = planner_for(si, Region(si, lambda state: math.inf if state[0] < 1.0 else to_the_right(state)))
