@@ -91,9 +91,24 @@ class Workspace:
     obstacles: tuple[Obstacle, ...] = ()
 
     def __post_init__(self) -> None:
-        if len(self.bounds) != 2 or not all(-math.inf < low < high < math.inf for low, high in self.bounds):
+        """Check bounds and obstacles: one without finite numbers would be nowhere, and no plan would keep away from it.
+
+        Raises:
+            ValueError: with every problem.
+        """
+        problems = []
+        bounds = _finite(self.bounds)
+        if bounds is None or bounds.shape != (2, 2) or not np.all(bounds[:, 0] < bounds[:, 1]):
             expected = "((x_low, x_high), (y_low, y_high)), finite with low < high"
-            raise ValueError(f"workspace bounds: {self.bounds}; expected {expected}")
+            problems.append(f"workspace bounds: {self.bounds}; expected {expected}")
+        if not isinstance(self.obstacles, list | tuple):
+            kind = type(self.obstacles).__name__
+            raise ValueError("; ".join([*problems, f"workspace obstacles: a {kind}; expected a tuple of obstacles"]))
+        for number, obstacle in enumerate(self.obstacles):
+            problem = _problem(obstacle)
+            problems += [f"workspace obstacles[{number}]: {problem}"] if problem else []
+        if problems:
+            raise ValueError("; ".join(problems))
 
     def __eq__(self, other: object) -> bool:
         return self._content == other._content if isinstance(other, Workspace) else NotImplemented
@@ -104,3 +119,34 @@ class Workspace:
     @cached_property
     def _content(self) -> bytes:
         return pickle.dumps((self.bounds, self.obstacles))
+
+
+def _finite(values: object) -> Floats | None:
+    """Array of finite numbers, None if the values are anything else."""
+    try:
+        array = np.asarray(values)
+    except ValueError:  # rows of several lengths
+        return None
+    numeric = np.issubdtype(array.dtype, np.integer) or np.issubdtype(array.dtype, np.floating)
+    return array if numeric and bool(np.isfinite(array).all()) else None
+
+
+def _problem(obstacle: object) -> str:
+    """What is wrong with an obstacle, and what is expected; empty if nothing is."""
+    if isinstance(obstacle, Polygon):
+        vertices = _finite(obstacle.vertices)
+        if vertices is None or vertices.ndim != 2 or vertices.shape[1] != 2 or len(vertices) < 3:
+            return "a Polygon needs vertices (n, 2), at least three, of finite numbers"
+    elif isinstance(obstacle, Circle):
+        center, radius = _finite(obstacle.center), _finite(obstacle.radius)
+        if center is None or center.shape != (2,) or radius is None or radius.shape != () or radius < 0.0:
+            return "a Circle needs a center (2,) and a radius of at least 0, finite numbers"
+    elif isinstance(obstacle, OccupancyGrid):
+        cells, origin, side = obstacle.occupied, _finite(obstacle.origin), _finite(obstacle.resolution)
+        if not isinstance(cells, np.ndarray) or cells.dtype != bool or cells.ndim != 2:
+            return "an OccupancyGrid needs occupied (rows, columns), an array of bool"
+        if side is None or side.shape != () or side <= 0.0 or origin is None or origin.shape != (3,):
+            return "an OccupancyGrid needs a positive resolution and an origin (x, y, yaw), finite numbers"
+    else:
+        return f"is a {type(obstacle).__name__}; expected a Polygon, a Circle or an OccupancyGrid"
+    return ""

@@ -18,7 +18,7 @@ from support.ompl_setup import BOUNDS, START, arena, planned
 from kraft.vehicles.benchmark import BENCHMARK
 from ompl_ext import planner as module
 from ompl_ext.callback import CallbackSearch
-from ompl_ext.obstacles import Workspace
+from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace, box
 from ompl_ext.planner import DIRT
 from ompl_ext.query import Goal
 from ompl_ext.solver import DirtSolver
@@ -266,6 +266,35 @@ def test_a_setup_checks_what_it_is_given() -> None:
     for duration in ((1.0, 0.5), (0.0, 0.0), (0.5, math.inf)):
         with pytest.raises(ValueError, match="duration is"):
             simple_setup(BENCHMARK, workspace, START, goal, duration=duration)
+
+
+@pytest.mark.parametrize(
+    "obstacle",
+    [
+        box((1.0, 1.0), (1.0, 1.0), math.nan),
+        box((math.inf, 1.0), (1.0, 1.0)),
+        Polygon(np.zeros((2, 2))),
+        Polygon(np.zeros((3, 3))),
+        Circle(np.array([1.0, 1.0]), math.nan),
+        Circle(np.array([1.0, 1.0]), -0.3),
+        Circle(np.array([1.0, 1.0, 0.0]), 0.3),
+        OccupancyGrid(np.full((3, 3), 100, np.int8), 0.1, (0.0, 0.0, 0.0)),  # of ROS
+        OccupancyGrid(np.ones(3, bool), 0.1, (0.0, 0.0, 0.0)),
+        OccupancyGrid(np.ones((3, 3), bool), 0.0, (0.0, 0.0, 0.0)),
+        OccupancyGrid(np.ones((3, 3), bool), 0.1, (0.0, math.nan, 0.0)),
+        "box",
+    ],
+)
+def test_an_obstacle_that_would_be_nowhere_is_refused_by_its_number(obstacle: Any) -> None:
+    with pytest.raises(ValueError, match=r"^workspace obstacles\[1\]: "):
+        Workspace(BOUNDS, (box((1.0, 1.0), (1.0, 1.0)), obstacle))
+
+
+def test_what_is_wrong_with_a_workspace_is_told_together() -> None:
+    with pytest.raises(ValueError, match=r"workspace bounds: .*obstacles\[0\].*obstacles\[2\]"):
+        Workspace((0, 5), (3, box((1.0, 1.0), (1.0, 1.0)), None))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="expected a tuple of obstacles"):
+        Workspace(BOUNDS, box((1.0, 1.0), (1.0, 1.0)))  # type: ignore[arg-type]
 
 
 def test_a_goal_has_a_place_and_a_size_and_takes_any_sequence() -> None:
