@@ -43,11 +43,20 @@ class _Retained:
     controls: Matrix
     durations: Floats
 
-    def edges_for(self, si: oc.SpaceInformation) -> tuple[list[int], Matrix, Floats]:
-        """Parents, controls and durations of edges of whole propagation steps, none longer than the longest."""
+    def edges_for(self, si: oc.SpaceInformation, most: int) -> tuple[list[int], Matrix, Floats]:
+        """Parents, controls and durations of edges of whole propagation steps, none longer than the longest.
+
+        Raises:
+            ValueError: they are more than `most`.
+        """
         step = si.getPropagationStepSize()
-        rounded = np.maximum(np.floor(self.durations / step + 0.5), 1.0) * step
-        return divided_edges(self.parents, self.controls, rounded, si.getMaxControlDuration() * step)
+        rounded, longest = (
+            np.maximum(np.floor(self.durations / step + 0.5), 1.0) * step,
+            si.getMaxControlDuration() * step,
+        )
+        if np.ceil(rounded / longest).sum() > most:
+            raise ValueError(f"edges to retain: {rounded.sum():g} s are more than max_nodes, {most}, of {longest:g} s")
+        return divided_edges(self.parents, self.controls, rounded, longest)
 
 
 class DIRT(ob.Planner):
@@ -104,13 +113,20 @@ class DIRT(ob.Planner):
         return self._params
 
     def retain(self, path: oc.PathControl, elapsed: float = 0.0) -> None:
-        """Begin the next query with the remainder of `path` after `elapsed` s, propagated from the new start."""
+        """Begin the next query with the remainder of `path` after `elapsed` s, propagated from the new start.
+
+        Raises:
+            ValueError: `elapsed` or a duration of the path is negative or not finite.
+        """
         if not 0.0 <= elapsed < math.inf:
             raise ValueError(f"elapsed is {elapsed}; expected the seconds since the start of the path, 0 or more")
         layout = ControlLayout(self.getSpaceInformation().getControlSpace())
         rows = [layout.read(path.getControl(k)) for k in range(path.getControlCount())]
         controls = np.array(rows).reshape(-1, layout.dimension)
-        self._retained = _Retained(*remaining_edges(controls, np.array(path.getControlDurations()), elapsed))
+        durations = np.array(path.getControlDurations(), dtype=float)
+        if not (np.isfinite(durations).all() and (durations >= 0.0).all()):
+            raise ValueError(f"durations of the path: {durations.tolist()}; expected finite seconds, 0 or more")
+        self._retained = _Retained(*remaining_edges(controls, durations, elapsed))
 
     def retain_tree(self, tree: TreeView) -> None:
         """Begin the next query with the edges of an earlier tree below its first start, from the new start."""
@@ -165,8 +181,8 @@ class DIRT(ob.Planner):
             ou.OMPL_ERROR("DIRT: no path for the footprint leads from the start to the goal")
             return status(status.INFEASIBLE)
         if self._retained is not None:
-            self._search.retain(*self._retained.edges_for(self.getSpaceInformation()))
-            self._retained = None
+            retained, self._retained = self._retained, None
+            self._search.retain(*retained.edges_for(self.getSpaceInformation(), int(self._params["max_nodes"])))
         self._grow(self._search, definition, _condition(limit, interval))  # made here: the maps are not the search
         if isinstance(self._search, CallbackSearch):
             self._search.warn_of_undefined_states()

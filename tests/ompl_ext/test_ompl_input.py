@@ -253,6 +253,28 @@ def test_an_empty_path_retains_nothing_and_a_time_before_it_is_refused() -> None
             planner.retain(oc.PathControl(si), elapsed)
 
 
+@pytest.mark.parametrize("duration", [math.nan, math.inf, -1.0])
+def test_a_path_with_durations_that_are_none_is_not_retained(duration: float) -> None:
+    si = point()
+    path = oc.PathControl(si)
+    path.append(si.allocState(), si.allocControl(), duration)
+    path.append(si.allocState())
+    with pytest.raises(ValueError, match="durations of the path"):
+        DIRT(si).retain(path)
+
+
+def test_a_path_of_more_edges_than_the_tree_may_have_is_not_retained() -> None:
+    si = point()
+    path = oc.PathControl(si)
+    path.append(si.allocState(), si.allocControl(), 1e9)
+    path.append(si.allocState())
+    planner = planner_for(si, Region(si, to_the_right))
+    planner.retain(path)
+    with pytest.raises(ValueError, match="more than max_nodes"):
+        planner.solve(lambda: True)
+    assert planner.solve(lambda: True) == STATUS.TIMEOUT  # and the planner goes on without it
+
+
 def test_a_setup_checks_what_it_is_given() -> None:
     workspace, goal = Workspace(BOUNDS), Goal((3.5, 3.5), 0.25)
     for count in (3, 5):  # one value too few would be what the memory held, one too many would overwrite it
