@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from ompl_ext.arrays import Bools, Floats, Matrix
+from ompl_ext.triangulate import counter_clockwise
 
 
 @dataclass(frozen=True)
@@ -137,6 +138,10 @@ def _problem(obstacle: object) -> str:
         vertices = _finite(obstacle.vertices)
         if vertices is None or vertices.ndim != 2 or vertices.shape[1] != 2 or len(vertices) < 3:
             return "a Polygon needs vertices (n, 2), at least three, of finite numbers"
+        try:
+            counter_clockwise(vertices)
+        except ValueError as error:
+            return str(error)
     elif isinstance(obstacle, Circle):
         center, radius = _finite(obstacle.center), _finite(obstacle.radius)
         if center is None or center.shape != (2,) or radius is None or radius.shape != () or radius < 0.0:

@@ -50,10 +50,8 @@ class _Retained:
             ValueError: they are more than `most`.
         """
         step = si.getPropagationStepSize()
-        rounded, longest = (
-            np.maximum(np.floor(self.durations / step + 0.5), 1.0) * step,
-            si.getMaxControlDuration() * step,
-        )
+        longest = si.getMaxControlDuration() * step
+        rounded = np.maximum(np.floor(self.durations / step + 0.5), 1.0) * step
         if np.ceil(rounded / longest).sum() > most:
             raise ValueError(f"edges to retain: {rounded.sum():g} s are more than max_nodes, {most}, of {longest:g} s")
         return divided_edges(self.parents, self.controls, rounded, longest)
@@ -257,9 +255,7 @@ class DIRT(ob.Planner):
         starts again.  Maps are computed again only for another goal or threshold.
         """
         si, goal = self.getSpaceInformation(), definition.getGoal()
-        if (
-            not si.isSetup()
-        ):  # as OMPL's planners do: it chooses the propagation step and the durations that are not set
+        if not si.isSetup():  # as OMPL's planners do: it chooses the step and the durations that are not set
             si.setup()
         durations = si.getPropagationStepSize(), si.getMinControlDuration(), si.getMaxControlDuration()
         target = goal, goal.getThreshold() if isinstance(goal, ob.GoalRegion) else 0.0

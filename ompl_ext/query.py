@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from numbers import Integral
 
 import numpy as np
 
@@ -186,6 +187,10 @@ class Settings:
         Raises:
             ValueError: names every invalid setting.
         """
+        whole = ("blossom", "insertions", "steps", "discs")
+        fractions = [name for name in whole if not isinstance(getattr(self, name), Integral)]
+        if fractions:
+            raise ValueError(f"settings: {', '.join(fractions)} must be whole numbers")
         longest = math.floor(self.longest / self.quantum + 0.5) if self.quantum > 0 else self.steps
         rules = {
             f"planner is {self.planner!r}, not 'dirt' or 'sst'": self.planner in ("dirt", "sst"),

@@ -145,7 +145,12 @@ class QueryTree(EdgeChecker):
 
         The edge in progress is kept in part.  An edge that collides, is not safe, or has a control beyond the vehicle's
         bounds is omitted, with all after it.
+
+        Raises:
+            ValueError: `elapsed` is negative or not finite.
         """
+        if not 0.0 <= elapsed < math.inf:
+            raise ValueError(f"elapsed is {elapsed}; expected finite seconds, 0 or more")
         return self.retain_edges(*remaining_edges(plan.controls, plan.durations, elapsed, self.settings.longest))
 
     def retain_edges(

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from operator import index
 
 import numpy as np
 
@@ -163,10 +164,14 @@ class DirtSolver(QueryTree):
         the only budget and the times of better solutions are not asked for (not `timed`), few calls of the kernel do.
 
         Raises:
-            ValueError: there is no budget or no goal.
+            ValueError: there is no budget or no goal, or the seconds are NaN.
+            TypeError: the iterations are no whole number.
         """
         if iterations is None and seconds is None and stop is None:
             raise ValueError("grow needs a budget: iterations, seconds, or stop")
+        if seconds is not None and math.isnan(seconds):
+            raise ValueError("seconds is NaN; expected a number of seconds")
+        iterations = None if iterations is None else index(iterations)  # with half an iteration left it would not end
         if self.goal is None:
             raise ValueError("a tree grows towards a goal, and there is none")
         if self._wants_polish and self._polish is None and self._reaches_polish(iterations):

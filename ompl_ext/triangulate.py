@@ -21,17 +21,7 @@ def triangles(vertices: Matrix) -> list[Matrix]:
     Raises:
         ValueError: the polygon has no area or is not simple.
     """
-    points = np.asarray(vertices, dtype=float)
-    points = points[np.any(points != np.roll(points, -1, axis=0), axis=1)]  # drop repeated vertices
-    x, y = (points - points[0]).T  # far from the origin the products would lose digits
-    area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
-    if area == 0.0:
-        raise ValueError("a polygon needs an area")
-    if area < 0.0:
-        points = points[::-1]
-    cross, turned = _turning(points)
-    if abs(turned - 2.0 * np.pi) > 1e-6:
-        raise ValueError("a polygon may not cross itself: its sides must turn once around")
+    points, cross = counter_clockwise(vertices)
     if np.all(cross >= 0.0):
         return [points]
     remaining, pieces = list(range(len(points))), []
@@ -44,6 +34,28 @@ def triangles(vertices: Matrix) -> list[Matrix]:
     if _turn(*points[remaining]) < 0:
         raise ValueError("a polygon may not cross itself")
     return [piece for piece in (*pieces, points[remaining]) if _height(piece) > SLIVER]
+
+
+def counter_clockwise(vertices: Matrix) -> tuple[Matrix, Floats]:
+    """Corners of a polygon counter-clockwise, none twice in a row, and the cross products of successive sides.
+
+    Raises:
+        ValueError: the polygon has no area, or its sides do not turn once around, so that some of them cross.
+    """
+    points = np.asarray(vertices, dtype=float)
+    points = points[np.any(points != np.roll(points, -1, axis=0), axis=1)]  # drop repeated vertices
+    if len(points) < 3:
+        raise ValueError("a polygon needs an area")
+    x, y = (points - points[0]).T  # far from the origin the products would lose digits
+    area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+    if area == 0.0:
+        raise ValueError("a polygon needs an area")
+    if area < 0.0:
+        points = points[::-1]
+    cross, turned = _turning(points)
+    if abs(turned - 2.0 * np.pi) > 1e-6:
+        raise ValueError("a polygon may not cross itself: its sides must turn once around")
+    return points, cross
 
 
 def _turning(points: Matrix) -> tuple[Floats, float]:

@@ -20,13 +20,21 @@ from ompl_ext import planner as module
 from ompl_ext.callback import CallbackSearch
 from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace, box
 from ompl_ext.planner import DIRT
-from ompl_ext.query import Goal
+from ompl_ext.query import Goal, Settings
 from ompl_ext.solver import DirtSolver
 from ompl_ext.system import simple_setup
 
 ou.setLogLevel(ou.LOG_NONE)
 STATUS = ob.PlannerStatus
 Distance = Callable[[ob.State], float]
+
+
+@pytest.fixture
+def grown() -> DirtSolver:
+    solver = DirtSolver(BENCHMARK, Workspace(BOUNDS), Goal((3.5, 3.5), 0.25), NO_SAFETY)
+    solver.start(np.asarray(START))
+    solver.grow(iterations=200)
+    return solver
 
 
 class Region(ob.GoalRegion):
@@ -297,6 +305,8 @@ def test_a_setup_checks_what_it_is_given() -> None:
         box((math.inf, 1.0), (1.0, 1.0)),
         Polygon(np.zeros((2, 2))),
         Polygon(np.zeros((3, 3))),
+        Polygon(np.array([[3.0, 0.0], [4.0, 1.0], [4.0, 0.0], [3.0, 1.0]])),  # crosses itself
+        box((1.0, 1.0), (0.0, 1.0)),
         Circle(np.array([1.0, 1.0]), math.nan),
         Circle(np.array([1.0, 1.0]), -0.3),
         Circle(np.array([1.0, 1.0, 0.0]), 0.3),
@@ -327,3 +337,22 @@ def test_a_goal_has_a_place_and_a_size_and_takes_any_sequence() -> None:
         with pytest.raises(ValueError, match="goal"):
             Goal(center, 0.2)  # type: ignore[arg-type]
     assert Goal(np.array([1.0, 2.0]), 0.2) == Goal([1.0, 2.0], 0.2) == Goal((1.0, 2.0), 0.2)  # type: ignore[arg-type]
+
+
+def test_budgets_and_times_of_a_search_are_numbers_that_it_can_count(grown: DirtSolver) -> None:
+    with pytest.raises(TypeError):
+        grown.grow(iterations=1.5)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="seconds is NaN"):
+        grown.grow(seconds=math.nan)
+    plan = grown.plan()
+    for elapsed in (-1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match="elapsed is"):
+            grown.retain(plan, elapsed)
+    assert grown.retain(plan, np.float64(0.5)) > 0
+
+
+@pytest.mark.parametrize("name", ["blossom", "insertions", "steps", "discs"])
+def test_settings_that_count_are_whole_numbers(name: str) -> None:
+    with pytest.raises(ValueError, match=f"settings: {name} must be whole numbers"):
+        Settings(**{name: 1.5})
+    assert getattr(Settings(**{name: np.int64(2)}), name) == 2
