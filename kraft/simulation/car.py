@@ -19,6 +19,7 @@ from kraft.scenario.truth import VehicleGap
 from kraft.simulation import contacts
 from kraft.vehicles import GRAVITY
 from kraft.vehicles.true_robot import CarDimensions
+from ompl_ext.vehicle import Footprint
 
 POSITION: Final = int(mujoco.mjtCtrlInput.mjINPUT_POS)
 """The servos take an angle; by default MuJoCo's would take an angular velocity as well."""
@@ -95,6 +96,13 @@ class CarDesign:
         """Centre of a wheel in the body frame, m."""
         x = self.wheelbase / 2 if name in STEERED else -self.wheelbase / 2
         return x, self.track / 2 if name.endswith("left") else -self.track / 2, self.wheel_radius
+
+    @property
+    def outline(self) -> Footprint:
+        """Rectangle around collision box and wheels."""
+        wheel = self.wheelbase / 2 + self.wheel_radius
+        front, rear = max(self.front, wheel), min(self.rear, -wheel)
+        return Footprint(front - rear, max(2 * self.side, self.track + self.wheel_width), (front + rear) / 2)
 
     @property
     def sharpest_radius(self) -> float:

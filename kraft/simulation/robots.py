@@ -24,6 +24,7 @@ from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_quaternion,
 from kraft.text import suggestion
 from kraft.vehicles import CAR_CONTROLS
 from ompl_ext.arrays import Floats
+from ompl_ext.vehicle import Footprint
 
 
 class SimulatedRobot(Protocol):
@@ -189,13 +190,44 @@ class MjcfRobot:
         """Name of the body with the free joint in the world."""
         return PREFIX + self.base
 
-    @cached_property
+    @property
     def _height(self) -> float:
         """Height of the tracked body above the floor of the file, m."""
-        alone = mujoco.MjSpec.from_file(self.file).compile()
-        data = mujoco.MjData(alone)
-        mujoco.mj_kinematics(alone, data)
-        return float(data.body(self.tracked).xpos[2])
+        return float(self._as_in_file[1].body(self.tracked).xpos[2])
+
+    @cached_property
+    def _as_in_file(self) -> tuple[Any, Any]:
+        """MuJoCo's model and data of the whole file, as it stands there."""
+        model = mujoco.MjSpec.from_file(self.file).compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        return model, data
+
+    def outline(self, below: float) -> Footprint | None:
+        """Rectangle around its geoms that count, without those that are wholly above a height (m); None if all are."""
+        boxes = [(low, high) for low, high in self._boxes() if low[2] < below]
+        if not boxes:
+            return None
+        (rear, right, _), (front, left, _) = (
+            np.min([low for low, _ in boxes], 0),
+            np.max([high for _, high in boxes], 0),
+        )
+        return Footprint(float(front - rear), 2.0 * float(max(left, -right)), float(front + rear) / 2)
+
+    def _boxes(self) -> Iterator[tuple[Floats, Floats]]:
+        """Lowest and highest coordinates (3,) of each geom that counts, m: x ahead of the body, z from the floor."""
+        model, data = self._as_in_file
+        body, base = data.body(self.tracked), model.body(self.base).id
+        axes = body.xmat.reshape(3, 3)
+        turn = yaw_rotation(-math.atan2(axes[1, 0], axes[0, 0]))
+        origin = np.array([*body.xpos[:2], 0.0])
+        for k in range(model.ngeom):
+            touches = bool(model.geom_contype[k] or model.geom_conaffinity[k])
+            if touches and model.body_rootid[model.geom_bodyid[k]] == base and model.geom(k).name in self.geoms:
+                rotation, (middle, half) = data.geom_xmat[k].reshape(3, 3), model.geom_aabb[k].reshape(2, 3)
+                centre = turn @ (data.geom_xpos[k] + rotation @ middle - origin)
+                reach = np.abs(turn @ rotation) @ half
+                yield centre - reach, centre + reach
 
     def add(self, spec: Any, gap: VehicleGap) -> None:
         """Add the robot, without the rest of its file: its floor, its lights, its options."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Final
 
@@ -12,8 +13,8 @@ from kraft.scenario import Scenario
 from kraft.vehicles import is_car
 from kraft.vehicles.load import load_vehicle, natural_robot
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
-from kraft.vehicles.true_robot import CAR_SIZES, CarDimensions
-from ompl_ext.vehicle import Vehicle
+from kraft.vehicles.true_robot import CAR_SIZES, Robot
+from ompl_ext.vehicle import Footprint, Vehicle
 
 ALIKE: Final = 1.25
 """Ratio of the sizes of two bodies up to which one may stand for the other."""
@@ -88,7 +89,7 @@ def check_robot(scenario: Scenario, vehicle: Vehicle) -> None:
 def _is_a_bundled_car(scenario: Scenario, vehicle: Vehicle) -> bool:
     """Whether a car drives that has no dimensions of its own: it can be simulated wherever no box is in its way."""
     car = natural_robot(vehicle)[0].car if scenario.truth.kind is None else None
-    return car is not None and car == CarDimensions(preset=car.preset) and is_car(vehicle)
+    return car is not None and car.is_preset and is_car(vehicle)
 
 
 def check_own_robot(vehicle: Vehicle) -> None:
@@ -105,16 +106,32 @@ def check_own_robot(vehicle: Vehicle) -> None:
 
 
 def other_robot(scenario: Scenario, vehicle: Vehicle) -> str:
-    """What to say of a simulated car of another size or top speed than the vehicle's; else empty.
+    """What to say of a true robot that the vehicle's footprint does not cover; else empty.
 
-    It is the MuSHR by default, or one that scenario or vehicle file state and the footprint does not cover.
+    It is one that scenario or vehicle file state, or, for a car, the MuSHR by default: of that also if its size or top
+    speed is another one.
+
+    Raises:
+        InputError: if the robot that is stated does not load.
     """
     robot, source = natural_robot(vehicle)
     if scenario.truth.kind is not None:
-        return "" if scenario.truth.car is None else _uncovered(scenario.truth.car, vehicle)
-    if robot.car is None:
-        return ""
-    return _uncovered(robot.car, vehicle) if ("truth",) in source.keys else _by_default(vehicle)
+        robot = scenario.truth
+    elif robot.car is not None and ("truth",) not in source.keys:
+        return _by_default(vehicle)
+    outline = _outline(robot, scenario, vehicle)
+    return "" if outline is None else _uncovered(outline, vehicle)
+
+
+def _outline(robot: Robot, scenario: Scenario, vehicle: Vehicle) -> Footprint | None:
+    """Outline of the robot that is true, without the simulator if it is one of a kind that is known without it."""
+    if robot.kind is None:
+        return vehicle.footprint
+    if robot.car is not None and robot.car.is_preset:
+        return Footprint(*CAR_SIZES[robot.car.preset])
+    from kraft.simulation.outline import outline_of  # loads the simulator
+
+    return outline_of(scenario, vehicle)
 
 
 def _by_default(vehicle: Vehicle) -> str:
@@ -132,18 +149,36 @@ def _by_default(vehicle: Vehicle) -> str:
     )
 
 
-def _uncovered(car: CarDimensions, vehicle: Vehicle) -> str:
-    """What to say of a stated car that reaches farther than the footprint of its model; else empty."""
-    shape, (length, width) = vehicle.footprint, car.size
-    ends, side = (length - shape.length) / 2.0 + abs(shape.offset), (width - shape.width) / 2.0
-    if ends <= UNCOVERED * length and side <= UNCOVERED * width:
+def _uncovered(outline: Footprint, vehicle: Vehicle) -> str:
+    """What to say of a stated robot that reaches farther than the footprint of its model; else empty."""
+    shape = vehicle.footprint
+    (rear, front), (own_rear, own_front) = _ends(outline), _ends(shape)
+    ends, side = max(front - own_front, own_rear - rear), (outline.width - shape.width) / 2.0
+    if ends <= UNCOVERED * outline.length and side <= UNCOVERED * outline.width:
         return ""
     return (
-        f"the true robot ({length:g} m x {width:g} m) is not covered by the footprint of {vehicle.name} "
-        f"({shape.length:g} m x {shape.width:g} m) and reaches up to {max(ends, side):.2g} m beyond it, where "
-        f"nothing keeps it from obstacles; expected footprint: {{length: {length:g}, width: {width:g}}} in the file "
-        "of the vehicle"
+        f"the true robot ({outline.length:.3g} m x {outline.width:.3g} m) is not covered by the footprint of "
+        f"{vehicle.name} ({shape.length:g} m x {shape.width:g} m) and reaches up to {max(ends, side):.2g} m beyond it, "
+        f"where nothing keeps it from obstacles; expected footprint: {_that_covers(outline)} in the file of the vehicle"
     )
+
+
+def _ends(shape: Footprint) -> tuple[float, float]:
+    """Place of its rear and of its front along the vehicle, m."""
+    return shape.offset - shape.length / 2.0, shape.offset + shape.length / 2.0
+
+
+def _that_covers(outline: Footprint) -> str:
+    """Footprint in whole millimetres that holds an outline, as the file of a vehicle states it."""
+    offset = round(outline.offset, 3)
+    length = outline.length + 2.0 * abs(outline.offset - offset)
+    sizes = f"length: {_rounded_up(length):g}, width: {_rounded_up(outline.width):g}"
+    return f"{{{sizes}, offset: {offset:g}}}" if offset else f"{{{sizes}}}"
+
+
+def _rounded_up(length: float) -> float:
+    """Length in whole millimetres, m."""
+    return math.ceil(1000.0 * length - 1e-6) / 1000.0
 
 
 def uncorrected_slope(scenario: Scenario, method: Method, vehicle: Vehicle) -> str:

@@ -17,7 +17,7 @@ from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 Text = Annotated[str, StringConstraints(min_length=1)]
 KINDS: Final = ("car", "mjcf", "model")
 CAR_SIZES: Final = {"mushr": (0.44, 0.27), "f1tenth": (0.58, 0.31)}
-"""Length and width of the simulated car of each preset, m."""
+"""Length and width of the simulated car of each preset, with its wheels, m."""
 
 
 class Wheels(StrictModel):
@@ -83,10 +83,9 @@ class CarDimensions(StrictModel):
     """{friction}"""
 
     @property
-    def size(self) -> tuple[float, float]:
-        """Length and width, m."""
-        length, width = CAR_SIZES[self.preset]
-        return self.length or length, self.width or width
+    def is_preset(self) -> bool:
+        """Whether it has nothing of its own."""
+        return self == CarDimensions(preset=self.preset)
 
 
 class Robot(StrictModel):

@@ -9,10 +9,12 @@ import pytest
 
 from kraft.driving.method import load_method
 from kraft.scenario import load_scenario
+from kraft.simulation.car import PRESETS
 from kraft.trial.planning_vehicle import other_robot, uncorrected_slope, vehicle_reference
 from kraft.trial.result import Outcome, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
+from kraft.vehicles.true_robot import CAR_SIZES
 from kraft_cli.main import main
 from ompl_ext.vehicle import Footprint
 
@@ -101,10 +103,44 @@ def test_a_true_car_that_reaches_beyond_the_footprint_is_said() -> None:
     van = load_scenario("turns", {"truth.car": {"length": 2.2, "width": 1.2}})
     assert "reaches up to 0.9 m beyond it" in other_robot(van, load_vehicle("mushr"))
     long = load_scenario("turns", {"truth.car": {"length": 0.6}})
-    assert "(0.6 m x 0.27 m) is not covered by the footprint of mushr-drive" in other_robot(
+    assert "(0.6 m x 0.271 m) is not covered by the footprint of mushr-drive" in other_robot(
         long, load_vehicle("mushr-drive")
     )
     covered = replace(load_vehicle("mushr-drive"), footprint=Footprint(2.2, 1.2), file="", name="van")
     assert other_robot(van, covered) == ""
     for name in ("mushr", "mushr-drive"):
         assert other_robot(load_scenario("turns", {"truth.car": {"mass": 5.0}}), load_vehicle(name)) == ""
+
+
+def test_the_wheels_of_a_true_car_count_as_its_body_does() -> None:
+    long = load_scenario("turns", {"truth.car": {"wheelbase": 0.6}})
+    assert "expected footprint: {length: 0.698, width: 0.271}" in other_robot(long, load_vehicle("mushr-drive"))
+    wide = load_scenario("turns", {"truth.car": {"track": 0.5}})
+    said = other_robot(wide, load_vehicle("mushr-drive"))
+    assert "expected footprint: {length: 0.44, width: 0.541, offset: -0.005}" in said
+    covered = replace(load_vehicle("mushr-drive"), footprint=Footprint(0.44, 0.541, -0.005), file="", name="wide")
+    assert other_robot(wide, covered) == ""
+
+
+def test_a_true_robot_of_any_kind_that_reaches_beyond_the_footprint_is_said(tmp_path: Path) -> None:
+    text = Path(load_vehicle("jackal").file).with_name("jackal.xml").read_text()
+    arm = '<geom name="arm" type="box" size="0.2 0.02 0.02" pos="0.4 0 0.02"/>'
+    mast = '<geom name="mast" type="cylinder" size="0.02 0.2" pos="-0.5 0 0.7"/>'
+    hull = '<geom name="hull"'
+    (tmp_path / "arm.xml").write_text(text.replace(hull, arm + hull))
+    (tmp_path / "mast.xml").write_text(text.replace(hull, mast + hull))
+    jackal = load_vehicle("jackal")
+    armed = load_scenario("posts", {"truth.mjcf": str(tmp_path / "arm.xml")})
+    assert "expected footprint: {length: 0.856, width: 0.43, offset: 0.173}" in other_robot(armed, jackal)
+    mjcf = {"truth.mjcf": str(tmp_path / "arm.xml")}
+    assert other_robot(load_scenario("posts", {**mjcf, "truth.geoms": ["hull", "fenders"]}), jackal) == ""
+    assert other_robot(load_scenario("posts", {"truth.mjcf": str(tmp_path / "mast.xml")}), jackal) == ""
+    small = replace(jackal, footprint=Footprint(0.3, 0.3), file="", name="small")
+    model = load_scenario("posts", {"truth.model": "jackal"})
+    assert "expected footprint: {length: 0.51, width: 0.43}" in other_robot(model, small)
+
+
+def test_the_stated_sizes_of_the_presets_are_those_of_their_designs() -> None:
+    for preset, size in CAR_SIZES.items():
+        outline = PRESETS[preset].outline
+        assert (outline.length, outline.width) == pytest.approx(size, abs=0.002)
