@@ -28,6 +28,8 @@ REVERSE_SHARE: Final = 0.1
 """Share of the high speeds above which a vehicle counts as driving backwards."""
 REVERSE_TIME_MIN: Final = 2.0
 """Least time of all drives backwards that shows the drive of throttle backwards, s."""
+SWEEPS: Final = (0.2, 0.4, 0.6, 0.8, 1.2, 1.6, 2.4, 3.2)
+"""Times in which a slow servo or a speed controller may follow the largest command, s."""
 _SMOOTHED: WeakKeyDictionary[Part, tuple[Floats, Matrix, Matrix]] = WeakKeyDictionary()
 """What `_smoothed` found for parts that still exist."""
 
@@ -108,3 +110,12 @@ def sums_of(values: Floats, count: int) -> Floats:
     total = np.concatenate([[0.0], np.cumsum(values[:-1])])
     sums: Floats = total[count:] - total[:-count]
     return sums
+
+
+def followed(commands: Floats, step: float) -> Floats:
+    """Command (n,) that follows commands (n,) by at most `step` from sample to sample."""
+    found, at = np.empty(len(commands)), float(commands[0])
+    for k, wanted in enumerate(commands.tolist()):
+        at += min(max(wanted - at, -step), step)
+        found[k] = at
+    return found

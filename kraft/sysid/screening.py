@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.sysid.log_motion import SPAN, STEP, Motion, are_of_cars, motions, sums_of
+from kraft.sysid.log_motion import SPAN, STEP, SWEEPS, Motion, are_of_cars, followed, motions, sums_of
 from ompl_ext.arrays import Bools, Floats, Matrix
 
 if TYPE_CHECKING:
@@ -220,11 +220,12 @@ class _Normal:
 def _check_groups(found: Sequence[Motion], logs: Sequence[Log]) -> Diagnostic | None:
     if len(logs) < GROUP_LOGS_MIN:
         return None
-    for what, terms, least, most in (
-        ("turn", _turning_terms, GROUP_TURN_LEAST, GROUP_TURN_RATIO),
-        ("accelerate", driving_terms, GROUP_DRIVE_LEAST, GROUP_DRIVE_RATIO),
+    driving = [[driving_terms(m, delay) for m in found] for delay in GROUP_DELAYS]
+    for what, candidates, least, most in (
+        ("turn", _turning(found), GROUP_TURN_LEAST, GROUP_TURN_RATIO),
+        ("accelerate", driving, GROUP_DRIVE_LEAST, GROUP_DRIVE_RATIO),
     ):
-        tried = [_normal(found, len(logs), [terms(m, delay) for m in found]) for delay in GROUP_DELAYS]
+        tried = [_normal(found, len(logs), samples) for samples in candidates]
         normal = min(tried, key=lambda each: _two_groups(each)[1])
         one = normal.cost(np.ones(len(logs), bool)).sum()
         first, two = _two_groups(normal)
@@ -241,9 +242,21 @@ def _check_groups(found: Sequence[Motion], logs: Sequence[Log]) -> Diagnostic | 
     return None
 
 
-def _turning_terms(m: Motion, delay: float) -> tuple[Matrix, Floats]:
-    """Terms of the yaw rate and the yaw rate, averaged over a time in which lags hardly count."""
-    v, s = m.speed, m.commands(delay)[:, 1]
+def _turning(found: Sequence[Motion]) -> list[list[tuple[Matrix, Floats]]]:
+    """Terms of the yaw rate and the yaw rate of all motions, for each delay and each time that a slow servo may take.
+
+    Without these times, the logs of a slow servo fall into those in which the steering is held and those in which it
+    changes.
+    """
+    steering = [[m.commands(delay)[:, 1] for m in found] for delay in GROUP_DELAYS]
+    full = max(float(np.abs(s).max()) for s in steering[0])
+    slow = [[followed(s, full * STEP / sweep) for s in steering[0]] for sweep in SWEEPS if full > 0.0]
+    return [[_turning_terms(m, s) for m, s in zip(found, turned, strict=True)] for turned in (*steering, *slow)]
+
+
+def _turning_terms(m: Motion, s: Floats) -> tuple[Matrix, Floats]:
+    """Terms of the yaw rate with steering `s` (n,) and the yaw rate, averaged over a time that is long for lags."""
+    v = m.speed
     table = np.column_stack([v, v * s, v * s * np.abs(s), v**3 * s, v**3, m.rate])
     count = min(round(RATE_SPAN / STEP), len(v) - 1)
     total = np.cumsum(np.vstack([np.zeros(table.shape[1]), table]), axis=0)
@@ -252,12 +265,16 @@ def _turning_terms(m: Motion, delay: float) -> tuple[Matrix, Floats]:
 
 
 def driving_terms(m: Motion, delay: float) -> tuple[Matrix, Floats]:
-    """Terms of the change of the speed and the change."""
+    """Terms of the change of the speed and the change.
+
+    One of them is what a car that slides sideways gains or loses along itself because it turns away from its motion.
+    """
     count, u, v = round(SPAN / STEP), m.commands(delay)[:, 0], m.speed
     mean, before = sums_of(u, count) / count, v[:-count]
     turned = np.abs(m.commands(delay)[:-count, 1])
     terms = [np.ones(len(mean)), mean, mean * np.abs(mean), before, before * np.abs(before), np.tanh(10.0 * before)]
-    return np.column_stack([*terms, before * turned]), v[count:] - before
+    turned_away = sums_of(m.rate * m.side, count) / count
+    return np.column_stack([*terms, before * turned, turned_away]), v[count:] - before
 
 
 def _normal(found: Sequence[Motion], logs: int, samples: Sequence[tuple[Matrix, Floats]]) -> _Normal:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.sysid.log_motion import STEP, Motion, are_of_cars, motions, sums_of
+from kraft.sysid.log_motion import STEP, SWEEPS, Motion, are_of_cars, followed, motions, sums_of
 from kraft.sysid.smoothing import MAD
 from ompl_ext.arrays import Bools, Floats, Matrix
 
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 TAPS: Final = (0.0, 0.1, 0.2, 0.3, 0.4)
 """Ages of the commands that take part, s."""
-SWEEPS: Final = (0.2, 0.4, 0.6, 0.8, 1.2, 1.6, 2.4, 3.2)
-"""Times in which a slow servo or a speed controller may follow the largest command, s."""
 SLOW: Final = 0.5
 """Share of what is left with a command that acts at once, up to which one of these times explains it."""
 NEUTRAL: Final = 0.05
@@ -154,7 +152,7 @@ def _residuals_of(
     at_once = _residuals(prompt, values)
 
     def slow(sweep: float) -> list[Floats]:
-        gradual = [terms(m, _followed(u, full * STEP / sweep)) for m, u in zip(found, commands, strict=True)]
+        gradual = [terms(m, followed(u, full * STEP / sweep)) for m, u in zip(found, commands, strict=True)]
         return _residuals([np.column_stack(both) for both in zip(prompt, gradual, strict=True)], values)
 
     best = min((slow(sweep) for sweep in SWEEPS), key=_square, default=at_once)
@@ -163,15 +161,6 @@ def _residuals_of(
 
 def _square(residuals: Sequence[Floats]) -> float:
     return float(np.mean(np.concatenate(residuals) ** 2))
-
-
-def _followed(commands: Floats, step: float) -> Floats:
-    """Command (n,) that follows commands (n,) by at most `step` from sample to sample."""
-    followed, at = np.empty(len(commands)), float(commands[0])
-    for k, wanted in enumerate(commands.tolist()):
-        at += min(max(wanted - at, -step), step)
-        followed[k] = at
-    return followed
 
 
 def _rate_terms(m: Motion, turned: Floats) -> Matrix:

@@ -6,6 +6,8 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,9 @@ from benchmarks.disturbances import Disturbance, drive
 from benchmarks.synthetic_logs import synthetic_logs
 from kraft.errors import Code, InputError
 from kraft.logs.log import Finding, Log
+from kraft.logs.reader import read_logs
+from kraft.recording.recorder import Recorder, write_recording
+from kraft.scenario import load_scenario
 from kraft.sysid import identify, prediction_errors
 from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
 from kraft.sysid.screening import check_consistency, check_direction, two_cars
@@ -189,6 +194,28 @@ def test_two_cars_are_told_apart_by_their_logs(other: dict[str, float]) -> None:
     check_consistency(second)
     assert two_cars(mixed) == message.removeprefix("logs: ")
     assert not two_cars(second)
+
+
+@pytest.mark.parametrize(
+    ("car", "top_speed", "half"),
+    [
+        ({"preset": "f1tenth", "servo": {"rate_deg": 10}}, 3.0, 6.0),
+        ({"preset": "f1tenth", "drive": {"top_speed": 5, "time_constant": 0.6}, "tyres": {"friction": 0.3}}, 5.0, 20.0),
+    ],
+    ids=["slow servo", "slides"],
+)
+def test_one_car_with_a_slow_servo_or_that_slides_is_not_taken_for_two(
+    car: dict[str, Any], top_speed: float, half: float, tmp_path: Path
+) -> None:
+    hall = {"truth.car": car, "bounds": {"x": [-half, half], "y": [-half, half]}, "obstacles": []}
+    scenario = load_scenario("training", hall)
+    expected = {"v_delta": top_speed, "tau": 0.5, "L": 0.33, "u_0": 0.02}
+    recorder = Recorder(scenario, load_vehicle("kraft.vehicles.mushr:MUSHR_DRIVE", parameters=expected), 0)
+    for number in range(1, 11):
+        write_recording(tmp_path, scenario, {}, recorder.record(number))
+    recorded = read_logs(tmp_path).logs
+    check_consistency(recorded)
+    assert two_cars(recorded) == ""
 
 
 def test_a_yaw_of_something_else_is_refused() -> None:
