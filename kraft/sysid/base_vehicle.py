@@ -210,10 +210,25 @@ def for_turns(base: BaseVehicle, logs: Sequence[Log]) -> BaseVehicle:
         return base
     wheelbase = float(f"{math.tan(WHEELS_TURNED) / sharpest:.1g}")
     wheelbase = float(np.clip(wheelbase, known.min or 0.0, known.max or math.inf))
-    lever, ratio = dict(config.parameters[LEVER]), wheelbase / known.value
-    bounds = {key: ratio * lever[key] for key in ("min", "max", "std") if lever[key] is not None}
-    changed = config.with_stated({WHEELBASE: {"value": wheelbase}, LEVER: bounds})
+    changed = config.with_stated({WHEELBASE: {"value": wheelbase}, LEVER: _lever_bounds(config, wheelbase)})
     return replace(base, definition=changed, vehicle=configured(changed))
+
+
+def for_wheelbase(base: BaseVehicle, wheelbase: float) -> BaseVehicle:
+    """The car for a stated wheelbase (m): lengths have bounds in proportion if theirs would not hold both axles."""
+    config = base.definition
+    assert isinstance(config, VehicleConfig)  # a vehicle file with terms
+    longest = config.parameters[LEVER].max
+    if longest is None or wheelbase <= longest:
+        return base
+    changed = config.with_stated({LEVER: _lever_bounds(config, wheelbase)})
+    return replace(base, definition=changed, vehicle=configured(changed))
+
+
+def _lever_bounds(config: VehicleConfig, wheelbase: float) -> dict[str, float]:
+    """Bounds and prior of the lever in proportion to the wheelbase, m."""
+    lever, ratio = dict(config.parameters[LEVER]), wheelbase / config.parameters[WHEELBASE].value
+    return {key: ratio * lever[key] for key in ("min", "max", "std") if lever[key] is not None}
 
 
 def with_backward_commands(base: BaseVehicle, logs: Sequence[Log]) -> BaseVehicle:

@@ -14,6 +14,7 @@ from kraft.sysid.base_vehicle import (
     BaseVehicle,
     for_commands,
     for_turns,
+    for_wheelbase,
     load_base_vehicle,
     with_backward_commands,
     with_speed,
@@ -185,7 +186,9 @@ def _sampled(log: Log, seconds: float) -> Log:
 def _with_terms(logs: Sequence[Log], settings: Settings, on_iteration: OnIteration) -> IdentifiedCar:
     """The car with the terms that the logs need, commands in the range of the logs."""
     cars = [for_commands(load_base_vehicle(name), logs) for name in CARS]
-    if WHEELBASE not in settings.values:
+    if WHEELBASE in settings.values:
+        cars = [for_wheelbase(each, settings.values[WHEELBASE]) for each in cars]
+    else:
         cars = with_wheelbase(cars, logs, settings, on_iteration)
     definitions = _definitions(cars)
     choice = identify_terms(definitions[0], logs, settings, on_iteration, definitions[1])

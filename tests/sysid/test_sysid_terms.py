@@ -20,6 +20,7 @@ from kraft.sysid.base_vehicle import (
     for_commands,
     for_sides,
     for_turns,
+    for_wheelbase,
     load_base_vehicle,
     with_backward_commands,
     with_recorded_commands,
@@ -217,6 +218,16 @@ def test_a_car_of_another_size_has_a_wheelbase_that_suits_it(wheelbase: float, e
     assert before.max is not None
     assert lever.max == pytest.approx(before.max * found.vehicle.parameters["L"] / 0.33)
     assert (found is base) == (wheelbase == 0.25)
+
+
+def test_a_long_car_whose_wheelbase_is_stated_is_tracked_between_its_axles() -> None:
+    """The bound of `lever` in the vehicle file is 1 m, half of the wheelbase is 1.5 m."""
+    model = car(L=3.0, steer=0.5).with_parameters({"lever": 1.5 - LEVER})  # drive() adds LEVER
+    logs = [drive(model, seed) for seed in range(4)]
+    stated = identify_car(logs, Settings(values={"L": 3.0}))
+    assert stated.identification.values["lever"] == pytest.approx(1.5, abs=0.03)
+    base = load_base_vehicle("car")
+    assert for_wheelbase(base, 0.5) is base
 
 
 @pytest.mark.parametrize(("wheelbase", "understeer"), [(0.33, 0.15), (4.0, 0.0)], ids=["understeer", "large"])
