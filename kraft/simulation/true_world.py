@@ -193,6 +193,11 @@ def _car(vehicle: Vehicle, true: TrueRobot) -> CarDesign:
         problem = f"turns its wheels by up to {angle:.0f} degrees, about a point between those of the rear axle"
         expected = "expected a smaller servo.angle_max_deg, servo.linkage or track, or a longer wheelbase"
         raise InputError([true.problem("car", problem, expected, Code.GEOMETRY)])
+    if not (2 * design.wheel_radius < design.wheelbase and design.wheel_width < design.track):
+        wheels = f"{design.wheel_radius:g} m in radius and {design.wheel_width:g} m wide"
+        problem = f"has wheels, {wheels}, that overlap at a wheelbase of {design.wheelbase:g} m and a track of "
+        expected = "expected smaller ones, `wheels: {radius: ..., width: ..., mass: ...}`, or axles farther apart"
+        raise InputError([true.problem("car", problem + f"{design.track:g} m", expected, Code.GEOMETRY)])
     return design
 
 

@@ -12,7 +12,7 @@ from support.diagnostics import located, raised
 from support.paths import ROOT
 
 from kraft.driving.vehicle_model import model_of
-from kraft.errors import Code
+from kraft.errors import Code, InputError
 from kraft.planning.workspace import workspace_of
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
 from kraft.simulation.car import F1TENTH, MUSHR, design_of
@@ -235,6 +235,20 @@ def test_a_car_with_other_wheels_is_a_car_of_that_scale() -> None:
     world = drive(world_of(scene, vehicle("mushr-drive"), 0), (1.0, 0.3), 3.0)
     assert not world.frame.has_turned_over(world.marker[1])
     assert world.speed == pytest.approx(1.2, rel=0.1)
+
+
+def test_wheels_that_overlap_are_refused_at_their_line() -> None:
+    """A car of 16 cm with the wheels of the MuSHR, which nobody states, has axles within its wheels."""
+    small = "length: 0.16, width: 0.075, wheelbase: 0.094, track: 0.062, mass: 0.13"
+    scene = hall(f"car: {{{small}}}")
+    with pytest.raises(InputError) as error:
+        world_of(scene, vehicle("mushr-drive"), 0)
+    (problem,) = error.value.diagnostics
+    assert problem.code == Code.GEOMETRY
+    assert "0.0488 m in radius" in problem.problem
+    world_of(
+        hall(f"car: {{{small}, wheels: {{radius: 0.0105, width: 0.012, mass: 0.006}}}}"), vehicle("mushr-drive"), 0
+    )
 
 
 def test_a_car_with_a_high_chassis_turns_over() -> None:
