@@ -48,6 +48,8 @@ GROUP_TIME_MIN: Final = 20.0
 GROUP_ROUNDS: Final = 20
 GROUP_DELAYS: Final = (0.1, 0.3)
 """Delays of the response with which groups are sought, s: that of a mixture would say nothing about either."""
+GRIP_QUANTILES: Final = (0.4, 0.8)
+"""Quantiles of steering times squared speed (lateral acceleration but for a factor) that tyres may hold at most."""
 GROUP_TURN_LEAST, GROUP_TURN_RATIO = 0.008, 0.5
 """Share of the yaw rate that two groups explain in addition, at least, and of what is left by them, at most."""
 GROUP_DRIVE_LEAST, GROUP_DRIVE_RATIO = 0.05, 0.6
@@ -251,13 +253,19 @@ def _turning(found: Sequence[Motion]) -> list[list[tuple[Matrix, Floats]]]:
     steering = [[m.commands(delay)[:, 1] for m in found] for delay in GROUP_DELAYS]
     full = max(float(np.abs(s).max()) for s in steering[0])
     slow = [[followed(s, full * STEP / sweep) for s in steering[0]] for sweep in SWEEPS if full > 0.0]
-    return [[_turning_terms(m, s) for m, s in zip(found, turned, strict=True)] for turned in (*steering, *slow)]
+    asked = np.concatenate([np.abs(s) * m.speed**2 for m, s in zip(found, steering[0], strict=True)])
+    limits = np.maximum(np.quantile(asked, GRIP_QUANTILES), 1e-9).tolist()
+    return [[_turning_terms(m, s, limits) for m, s in zip(found, turned, strict=True)] for turned in (*steering, *slow)]
 
 
-def _turning_terms(m: Motion, s: Floats) -> tuple[Matrix, Floats]:
-    """Terms of the yaw rate with steering `s` (n,) and the yaw rate, averaged over a time that is long for lags."""
+def _turning_terms(m: Motion, s: Floats, limits: Sequence[float]) -> tuple[Matrix, Floats]:
+    """Terms of the yaw rate with steering `s` (n,) and the yaw rate, averaged over a time that is long for lags.
+
+    The tyres limit the lateral acceleration: `limits` are values that steering times squared speed may not exceed.
+    """
     v = m.speed
-    table = np.column_stack([v, v * s, v * s * np.abs(s), v**3 * s, v**3, m.rate])
+    held = [v * s / (1.0 + np.abs(s) * v**2 / limit) for limit in limits]
+    table = np.column_stack([v, v * s, v * s * np.abs(s), v**3 * s, v**3, *held, m.rate])
     count = min(round(RATE_SPAN / STEP), len(v) - 1)
     total = np.cumsum(np.vstack([np.zeros(table.shape[1]), table]), axis=0)
     mean = (total[count:] - total[:-count]) / count

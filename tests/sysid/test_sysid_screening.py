@@ -26,6 +26,7 @@ from kraft.sysid.smoothing import thinned
 from kraft.sysid.unexplained import unexplained_stretches, without
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import load_vehicle
+from ompl_ext.vehicle import Footprint
 
 TRUTH = {"L": 0.3, "v_delta": 0.9, "tau": 0.5}
 Change = Callable[[np.ndarray], np.ndarray]
@@ -216,6 +217,24 @@ def test_one_car_with_a_slow_servo_or_that_slides_is_not_taken_for_two(
     recorded = read_logs(tmp_path).logs
     check_consistency(recorded)
     assert two_cars(recorded) == ""
+
+
+def test_a_fast_car_whose_tyres_hold_little_is_not_taken_for_two(tmp_path: Path) -> None:
+    """Its yaw rate is that of its steering in slow turns and that of its grip in fast ones."""
+    buggy = {
+        "length": 0.85, "width": 0.55, "wheelbase": 0.56, "track": 0.42, "mass": 9.5, "tyres": {"friction": 0.4},
+        "wheels": {"radius": 0.09, "width": 0.06, "mass": 0.45}, "drive": {"top_speed": 8, "time_constant": 1.2},
+        "servo": {"angle_max_deg": 28, "rate_deg": 350},
+    }  # fmt: skip
+    hall = {"truth.car": buggy, "bounds": {"x": [-30, 30], "y": [-30, 30]}, "obstacles": []}
+    expected = {"v_delta": 8.0, "tau": 1.2, "L": 0.56, "u_0": 0.02}
+    vehicle = load_vehicle("kraft.vehicles.mushr:MUSHR_DRIVE", parameters=expected)
+    wide = replace(vehicle, controls={"throttle": (-0.5, 1.0), "steering": (-0.48, 0.48)})
+    scenario = load_scenario("training", hall)
+    recorder = Recorder(scenario, replace(wide, footprint=Footprint(0.87, 0.57)), 1)
+    for number in range(1, 11):
+        write_recording(tmp_path, scenario, {}, recorder.record(number))
+    check_consistency(read_logs(tmp_path).logs)
 
 
 def test_a_yaw_of_something_else_is_refused() -> None:
