@@ -208,10 +208,8 @@ class MjcfRobot:
         boxes = [(low, high) for low, high in self._boxes() if low[2] < below]
         if not boxes:
             return None
-        (rear, right, _), (front, left, _) = (
-            np.min([low for low, _ in boxes], 0),
-            np.max([high for _, high in boxes], 0),
-        )
+        rear, right, _ = np.min([low for low, _ in boxes], axis=0)
+        front, left, _ = np.max([high for _, high in boxes], axis=0)
         return Footprint(float(front - rear), 2.0 * float(max(left, -right)), float(front + rear) / 2)
 
     def _boxes(self) -> Iterator[tuple[Floats, Floats]]:
