@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import Final
+from typing import Any, Final
 
 import typer
 
@@ -144,7 +144,13 @@ def _usage_message(error: typer.TyperException) -> str:
         error.possibilities = _alike(option, context)
     if option is None or context is None or context.parent is not None or _is_misspelt(option, context):
         return error.format_message()
+    if not any(_has(command, option) for command in getattr(context.command, "commands", {}).values()):
+        return error.format_message()
     return f"No such option before the command: {option}; expected it after, as in 'kraft COMMAND {option}'"
+
+
+def _has(command: Any, option: str) -> bool:
+    return any(option in parameter.opts for parameter in command.params)
 
 
 def _alike(option: str, context: typer.Context) -> list[str]:

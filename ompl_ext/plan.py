@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,8 +20,8 @@ class Contingency:
     """
 
     manoeuvre: str
-    times: Floats
-    states: Matrix
+    times: Floats = field(repr=False)
+    states: Matrix = field(repr=False)
     slack: float
 
 
@@ -34,11 +34,11 @@ class Plan:
     heuristic at the end, 0 inside the goal region.
     """
 
-    states: Matrix
-    controls: Matrix
-    durations: Floats
-    times: Floats
-    trajectory: Matrix
+    states: Matrix = field(repr=False)
+    controls: Matrix = field(repr=False)
+    durations: Floats = field(repr=False)
+    times: Floats = field(repr=False)
+    trajectory: Matrix = field(repr=False)
     cost: float
     cost_to_go: float
     reaches_goal: bool
@@ -71,11 +71,11 @@ class TreeView:
     `controls` (n, nu) and `durations` (n,) of the root are zero; `costs` and `costs_to_go` (n,) in s.
     """
 
-    states: Matrix
-    parents: Ints
-    controls: Matrix
-    durations: Floats
-    costs: Floats
+    states: Matrix = field(repr=False)
+    parents: Ints = field(repr=False)
+    controls: Matrix = field(repr=False)
+    durations: Floats = field(repr=False)
+    costs: Floats = field(repr=False)
     costs_to_go: Floats
 
     def edges_of_first_root(self) -> tuple[list[int], Matrix, Floats]:

@@ -302,7 +302,8 @@ def describe(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int | float):
-        return f"the number {value:.12g}" if isinstance(value, float) else f"the number {value}"
+        whole = isinstance(value, float) and value.is_integer()  # 2e4: no whole number, because it is written as 2e4
+        return f"the number {value:.12g}" if isinstance(value, float) and not whole else f"the number {value}"
     if isinstance(value, str):
         return f"the text {value if len(value) <= 40 else value[:37] + '...'!r}"
     if isinstance(value, Mapping):

@@ -143,7 +143,8 @@ def _maps_meanwhile() -> Iterator[subprocess.Popen[bytes] | None]:
     if _marker(MAPS).exists():
         yield None
         return
-    command = [sys.executable, "-c", f"from {__name__} import compile_maps; compile_maps()"]
+    # -P: files of the working directory do not take the place of installed packages
+    command = [sys.executable, "-P", "-c", f"from {__name__} import compile_maps; compile_maps()"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     silent = subprocess.DEVNULL
     with subprocess.Popen(

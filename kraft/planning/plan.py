@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time as clock
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -59,7 +59,7 @@ class PlanResult:
     """
 
     plan: Plan | None
-    tree: TreeView
+    tree: TreeView = field(repr=False)
     progress: Progress
     verification: Verification | None
     reason: str

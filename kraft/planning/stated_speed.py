@@ -21,5 +21,6 @@ def faster_than_stated(vehicle: Vehicle) -> str:
         return ""
     return (
         f"the model of {vehicle.name} reaches {fastest:.3g} m/s, its top_speed is {vehicle.top_speed:.3g} m/s: "
-        "plans may be worse than they could be, because the cost-to-go relies on top_speed"
+        "the search may find few plans or none, because the cost-to-go relies on top_speed; expected the speed that "
+        "the model reaches"
     )

@@ -12,12 +12,16 @@ from kraft.errors import Diagnostic, InputError
 from kraft.sysid.interface import Settings
 from kraft.vehicles import DELAY_MAX
 from kraft.vehicles.config import Parameter, VehicleConfig
-from kraft.vehicles.load import configured
+from kraft.vehicles.load import configured, units_of
 from ompl_ext.arrays import Bools, Floats
 from ompl_ext.vehicle import Vehicle
 
 DEFAULT_BOUND_FACTOR = 10.0
 """Factor between the nominal value of a parameter and its default bounds."""
+
+
+SMALL_ANGLE = 0.1
+"""Angle up to which its sign is taken to be unknown, rad."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +153,8 @@ def parameter_specs(vehicle: VehicleConfig | Vehicle, auxiliary: tuple[str, ...]
     """The parameters of the model and the named auxiliary parameters, before any setting is applied."""
     model = vehicle_of(vehicle)
     stated = vehicle.parameters if isinstance(vehicle, VehicleConfig) else {}
-    own = (_spec(name, value, stated.get(name)) for name, value in model.parameters.items())
+    units = units_of(vehicle.model) if isinstance(vehicle, VehicleConfig) else {}
+    own = (_spec(name, value, stated.get(name), units.get(name, "")) for name, value in model.parameters.items())
     known = auxiliary_parameters(model)
     added = (
         ParameterSpec(e.name, 0.0, e.min, e.max, e.std, e.unit, e.description, neutral=0.0)
@@ -158,11 +163,21 @@ def parameter_specs(vehicle: VehicleConfig | Vehicle, auxiliary: tuple[str, ...]
     return (*own, *added)
 
 
-def _spec(name: str, value: float, stated: Parameter | None) -> ParameterSpec:
+def without_bounds(vehicle: VehicleConfig | Vehicle) -> tuple[str, ...]:
+    """Parameters of the model whose bounds or prior are default ones, because no file states them."""
+    stated = vehicle.parameters if isinstance(vehicle, VehicleConfig) else {}
+    return tuple(name for name in vehicle_of(vehicle).parameters if not _is_bounded(stated.get(name)))
+
+
+def _is_bounded(stated: Parameter | None) -> bool:
+    return stated is not None and (stated.fixed or None not in (stated.min, stated.max, stated.std))
+
+
+def _spec(name: str, value: float, stated: Parameter | None, unit: str) -> ParameterSpec:
     """A parameter of the model, with default bounds and prior where its file states none."""
-    low, high = _default_bounds(value)
+    low, high = _default_bounds(value, unit if stated is None else stated.unit)
     if stated is None:
-        return ParameterSpec(name, value, low, high, high - low, "", "")
+        return ParameterSpec(name, value, low, high, high - low, unit, "")
     low = low if stated.min is None else stated.min
     high = high if stated.max is None else stated.max
     if not low <= value <= high:  # one bound is stated, and the nominal value is far beyond the default of the other
@@ -173,9 +188,12 @@ def _spec(name: str, value: float, stated: Parameter | None) -> ParameterSpec:
     )
 
 
-def _default_bounds(value: float) -> tuple[float, float]:
-    """Default bounds of a value: its sign and magnitude are known, or for 0 that it is at most 1."""
-    if value == 0.0:
+def _default_bounds(value: float, unit: str) -> tuple[float, float]:
+    """Default bounds of a value: its sign and magnitude are known, of a small angle or 0 only that they are at most 1.
+
+    An angle may be an offset, whose sign says nothing.
+    """
+    if value == 0.0 or (unit == "rad" and abs(value) < SMALL_ANGLE):
         return -1.0, 1.0
     ends = sorted((value / DEFAULT_BOUND_FACTOR, value * DEFAULT_BOUND_FACTOR))
     return ends[0], ends[1]

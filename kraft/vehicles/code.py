@@ -97,10 +97,13 @@ def check_stated(vehicle: Vehicle, subject: str) -> None:
 
 
 def _import(name: str, subject: str) -> ModuleType:
-    """Import a module by name; the working directory is searched first, as `python -m` does."""
+    """Import a module by name, also one of the working directory, which is searched last.
+
+    First, its files would take the place of installed packages, here and in all worker processes.
+    """
     here = str(Path.cwd())
     if here not in sys.path and "" not in sys.path:
-        sys.path.insert(0, here)
+        sys.path.append(here)
     try:
         return importlib.import_module(name)
     except (Exception, SystemExit) as error:  # a user's module may raise anything

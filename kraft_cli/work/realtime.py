@@ -75,6 +75,8 @@ def run_in_real_time(
         )  # fmt: skip
         robot = _for_vehicle(robot, _load(request, asked), report)
         asked = replace(asked, robot=robot)
+        if outputs.video is not None:
+            report("warning: the film is drawn while the vehicle drives and takes processor time from it")
         simulated = WorldRequest(
             request.scenario, robot, request.vehicle, request.seed, request.settings, 1.0, outputs.video, outputs.view
         )

@@ -41,7 +41,7 @@ from kraft.sysid.floor import leaning_floor
 from kraft.sysid.identify import identify
 from kraft.sysid.interface import Identification, Settings
 from kraft.sysid.model_choice import identify_car, models_of_cars
-from kraft.sysid.parameters import is_unknown_to_planning
+from kraft.sysid.parameters import is_unknown_to_planning, without_bounds
 from kraft.sysid.screening import check_consistency, check_direction, two_cars
 from kraft.sysid.selection import excluded_for_planning
 from kraft.sysid.terms import check_controls, has_terms
@@ -159,6 +159,7 @@ def run_sysid(
             *unit_notes(units),
             *_wheelbase_note(base, identification, settings, units),
             *_braking_note(request, base),
+            *_bounds_note(request, base),
             *excluded,
             *_preview_note(request, identification),
             *((taken_over,) if taken_over else ()),
@@ -279,6 +280,18 @@ def _wheelbase_note(
         f"poses do not show {WHEELBASE}, the wheelbase, but its ratio to the steering: it is taken as {assumed:g} m, "
         f"and {angles} are those of such a car; state the measured one with --param {WHEELBASE}=..., with which "
         "predictions of a car whose wheels turn little are about the same",
+    )
+
+
+def _bounds_note(request: SysidRequest, base: BaseVehicle) -> tuple[str, ...]:
+    """The note that bounds of parameters are assumed because nobody states them."""
+    names = without_bounds(base.definition)
+    if not names:
+        return ()
+    needed = f"; adaptive methods refuse {request.out} without them" if request.out is not None else ""
+    return (
+        f"min, max and std of {', '.join(names)} are assumed (a tenth of the value to ten times the value; of small "
+        f"angles -1 to 1), because no vehicle file states them{needed}",
     )
 
 

@@ -77,6 +77,7 @@ def test_all_problems_of_all_files_are_shown(files: Path, capsys: pytest.Capture
         (["run", "turns", "--metod", "kraft"], 2, "error: No such option: --metod (Possible options: --method)\ntry 'kraft run --help'\n"),
         (["plan", "turns", "--iter", "3"], 2, "error: No such option: --iter (Possible options: --iterations)\ntry 'kraft plan --help'\n"),
         (["run", "turns", "--json=1"], 2, "error: Option '--json' does not take a value.\ntry 'kraft run --help'\n"),
+        (["--jsn-all", "plan"], 2, "error: No such option: --jsn-all\ntry 'kraft --help'\n"),
         (["--json", "plan", "turns"], 2, "error: No such option before the command: --json; expected it after, as in 'kraft COMMAND --json'\ntry 'kraft --help'\n"),
         (["plan", "folder"], 2, "folder: is a folder; expected the path of a .yaml file or the name of a scenario\n"),
         (["plan", "folder.yaml"], 2, "folder.yaml: is a folder; expected the path of a .yaml file or the name of a scenario\n"),

@@ -11,9 +11,10 @@ import pytest
 
 from kraft.sysid.base_vehicle import load_base_vehicle
 from kraft.sysid.interface import ModelTrial
+from kraft.sysid.parameters import parameter_specs
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import configured
-from kraft_cli.work.sysid import SysidRequest, SysidResult, _braking_note
+from kraft_cli.work.sysid import SysidRequest, SysidResult, _bounds_note, _braking_note
 from kraft_cli.work.sysid_report import BY_MODEL, choice_lines, model_caption
 
 
@@ -64,3 +65,18 @@ def test_a_file_of_a_car_without_brakes_is_noted(least: float, says: bool) -> No
     assert bool(noted) == says
     assert all("car.yaml neither brakes nor drives backwards" in note for note in noted)
     assert _braking_note(SysidRequest(logs=()), car) == ()
+
+
+def test_bounds_that_nobody_states_are_noted_and_leave_an_offset_its_sign() -> None:
+    known = load_base_vehicle("mushr-drive")
+    assert _bounds_note(SysidRequest(logs=()), known) == ()
+    assert isinstance(known.definition, VehicleConfig)
+    kept = {name: p for name, p in known.definition.parameters.items() if name == "L"}
+    bare = known.definition.model_copy(update={"parameters": kept})
+    base = replace(known, definition=bare, vehicle=configured(bare))
+    (noted,) = _bounds_note(SysidRequest(logs=(), out=Path("car.yaml")), base)
+    assert noted.startswith("min, max and std of phi_diff, v_delta, tau, u_0 are assumed")
+    assert "adaptive methods refuse car.yaml" in noted
+    bounds = {spec.name: (spec.min, spec.max, spec.unit) for spec in parameter_specs(bare, ())}
+    assert bounds["phi_diff"] == (-1.0, 1.0, "rad")
+    assert bounds["v_delta"][:2] == pytest.approx((0.06861, 6.861))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -66,6 +68,20 @@ def test_code_is_a_module_or_a_file_with_or_without_an_attribute(folder: Path, m
         f"{folder}/my_car_module.py:CAR",
     ):
         assert load_vehicle(reference).name == "car"
+
+
+def test_a_file_of_the_working_directory_does_not_take_the_place_of_an_installed_package(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Workers of an evaluation import with the path of their parent: a file yaml.py there ended them."""
+    (folder / "tabnanny.py").write_text("")
+    (folder / "own_car.py").write_text("from kraft.vehicles.mushr import MUSHR as CAR\n")
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry not in ("", str(folder))])
+    assert load_vehicle("own_car:CAR").name == "mushr"
+    found = importlib.util.find_spec("tabnanny")  # of the standard library
+    assert found is not None
+    assert found.origin != str(folder / "tabnanny.py")
 
 
 def test_a_file_is_relative_to_what_names_it(folder: Path) -> None:
