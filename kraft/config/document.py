@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from kraft.config.scalar import Scalar
 from kraft.config.source import KeyPath, Position, Source
@@ -39,6 +40,17 @@ class Document:
     source: Source
     problems: tuple[Diagnostic, ...] = ()
     unusable: frozenset[KeyPath] = frozenset()
+
+
+def frozen(value: Any) -> Any:
+    """Value of Python or numpy as the readers give it: lists are tuples, numbers those of Python, paths text."""
+    if isinstance(value, Mapping):
+        return {str(key): frozen(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return tuple(frozen(each) for each in value)
+    if hasattr(value, "tolist"):  # arrays and scalars of numpy, which is not imported for them
+        return frozen(value.tolist())
+    return str(value) if isinstance(value, Path) else value
 
 
 def read_bytes(path: Path, bytes_max: int = BYTES_MAX, expected: str = "expected a YAML file") -> bytes:

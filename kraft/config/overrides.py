@@ -10,12 +10,9 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
-from kraft.config.document import Document, Value
+from kraft.config.document import Document, Value, frozen
 from kraft.config.source import KeyPath, Place, format_path, parse_path
 from kraft.config.yaml_reader import parse_document
 from kraft.errors import Code, Diagnostic, InputError
@@ -106,7 +103,7 @@ def overrides_of(values: Mapping[str, Any], argument: str = "settings") -> tuple
         InputError: if a key is not a dotted key, or lies within another one.
     """
     place = Place(argument, argument=True)
-    found = [Override(str(key), _frozen(value), place) for key, value in values.items()]
+    found = [Override(str(key), frozen(value), place) for key, value in values.items()]
     problems = [each.diagnostic("is not a dotted key", EXAMPLE, Code.SYNTAX) for each in found if not each.path]
     problems += repeated(found)
     if problems:
@@ -232,13 +229,3 @@ def _replaced(data: Value, path: KeyPath, override: Override) -> tuple[KeyPath, 
         at, value = _replaced(inner.get(key), rest, override)
         return (key, *at) if key in inner else (key,), {**inner, key: value}
     raise InputError([override.diagnostic(f"{before} has no keys", "expected a key of the file", Code.UNKNOWN)])
-
-
-def _frozen(value: Any) -> Value:
-    if isinstance(value, Mapping):
-        return {str(key): _frozen(each) for key, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return tuple(_frozen(each) for each in value)
-    if isinstance(value, (np.ndarray, np.generic)):
-        return _frozen(value.tolist())
-    return str(value) if isinstance(value, Path) else value

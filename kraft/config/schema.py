@@ -25,7 +25,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from kraft.config.document import Document, Value
+from kraft.config.document import Document, Value, frozen
 from kraft.config.source import KeyPath, Source
 from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError
@@ -47,6 +47,19 @@ class StrictModel(BaseModel):
         for error in self.across_keys(self.model_dump()):
             raise error
         return self
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Copy with other values for some keys, which are checked as those of a file are; they may be those of numpy.
+
+        Raises:
+            InputError: with every key that does not exist, and every value that is not allowed.
+        """
+        if not update:
+            return super().model_copy(deep=deep)
+        checked = build(type(self), {**dict(self), **frozen(update)}, type(self).__name__)
+        # a key may decide what others are; those that keep their value do not count as given
+        changed = {key: value for key, value in checked if key in update or value != getattr(self, key)}
+        return super().model_copy(update=changed, deep=deep)
 
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:

@@ -92,6 +92,8 @@ def _numbers(value: object) -> tuple[float, ...]:
 
 OF_CONTINGENCIES: Final = frozenset({"safety", "bound", "recover", "on_board", "contingencies", "watchdog"})
 """Settings of a planner that a method without contingencies ignores."""
+ITERATIONS_MAX: Final = 1_000_000_000
+"""Largest budget of a plan."""
 RESERVE = 0.2
 """Share of a cycle that real-time planning leaves unused, as in the original system."""
 
@@ -109,13 +111,13 @@ class PlannerSettings(StrictModel):
     """duration of a cycle on the wall clock, where decisions have to be early; `cycle` if it is left out, s"""
     lead: NonNegative = 0.1
     """how long before a cycle ends its plan is checked again and sent, s"""
-    iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] = 1000
+    iterations: Annotated[int, Field(ge=1, le=ITERATIONS_MAX)] = 1000
     """planning budget of a cycle, or of the one plan, in iterations"""
-    max_iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] | None = None
+    max_iterations: Annotated[int, Field(ge=1, le=ITERATIONS_MAX)] | None = None
     """largest budget of a cycle, used while the plan is not settled; `iterations` if left out"""
-    first_iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] | None = None
+    first_iterations: Annotated[int, Field(ge=1, le=ITERATIONS_MAX)] | None = None
     """planning budget of the first plan, before the vehicle drives; `iterations` if left out"""
-    first_max_iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] | None = None
+    first_max_iterations: Annotated[int, Field(ge=1, le=ITERATIONS_MAX)] | None = None
     """largest budget of the first plan, used while it is not settled; twice `first_iterations` if left out"""
     retain: Literal["plan", "tree"] = "plan"
     """what a cycle retains of the last one: the remainder of its `plan`, or that corrected, with its `tree`"""
@@ -171,7 +173,8 @@ class PlannerSettings(StrictModel):
         first = self.first_iterations
         if first is None:
             return self
-        return self.model_copy(update={"iterations": first, "max_iterations": self.first_max_iterations or 2 * first})
+        most = self.first_max_iterations or min(2 * first, ITERATIONS_MAX)
+        return self.model_copy(update={"iterations": first, "max_iterations": most})
 
     @model_validator(mode="before")
     @classmethod

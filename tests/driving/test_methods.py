@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from kraft.config import bundled
 from kraft.driving.control_settings import Kinodynamic
-from kraft.driving.method import Filter, Latest, load_method
+from kraft.driving.method import ITERATIONS_MAX, Clearance, Filter, Latest, load_method
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.trial.result import TrialSpec
 from kraft_cli.work.validate import check_file
@@ -218,3 +220,39 @@ controller: {kind: [mppi], objective: {}}
     with pytest.raises(InputError) as caught:
         load_method(path)
     assert {each.path for each in caught.value.diagnostics} >= {"planner.mode", "planner.lead", "planner.bound"}
+
+
+@pytest.mark.parametrize(
+    ("changed", "path"),
+    [
+        ({"iteration": 5}, "iteration"),
+        ({"iterations": -5}, "iterations"),
+        ({"margin": float("nan")}, "margin"),
+        ({"mode": "oneshot"}, "mode"),
+        ({"lead": 2.0}, "lead"),
+        ({"safety": {"delta": -1.0}}, "safety.delta"),
+    ],
+)
+def test_a_copy_of_settings_in_code_is_checked_as_a_file_is(changed: dict[str, Any], path: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load_method("kraft").planner.model_copy(update=changed)
+    (problem,) = caught.value.diagnostics
+    assert (problem.file, problem.path) == ("PlannerSettings", path)
+
+
+def test_a_copy_of_settings_takes_what_a_file_could_state_and_numbers_of_numpy() -> None:
+    method = load_method("kraft")
+    changed = {"iterations": np.int64(7), "margin": np.float32(0.25), "safety": {"delta": 0.1}}
+    planner = method.planner.model_copy(update=changed)
+    assert (type(planner.iterations), planner.iterations, planner.margin) == (int, 7, 0.25)
+    assert planner.safety == Clearance(delta=0.1)
+    assert planner.lead == method.planner.lead
+    copied = method.model_copy(update={"name": "own", "planner": planner})
+    assert (copied.planner, copied.source) == (planner, method.source)
+    without = load_method("adaptive-kraft").planner.model_copy(update={"contingency": False})
+    assert (without.bound, without.contingency) == (None, False)
+
+
+def test_the_largest_first_budget_is_one_that_settings_may_have() -> None:
+    planner = load_method("kraft").planner.model_copy(update={"first_iterations": ITERATIONS_MAX})
+    assert planner.for_first_plan.largest_budget == ITERATIONS_MAX

@@ -15,7 +15,7 @@ from kraft.errors import Code, Defect, InputError
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_placement, memory_needed
 from kraft.planning.plan import PlanResult, finds_plan, plan_task
-from kraft.planning.search import Budget, Previous
+from kraft.planning.search import Budget, Previous, search_named
 from kraft.planning.stated_speed import faster_than_stated
 from kraft.planning.workspace import fence, settings_of, start_state, workspace_of
 from kraft.scenario import Task, load_scenario, parse_scenario
@@ -341,10 +341,8 @@ def test_a_plan_of_ompls_own_planners_has_to_be_free_of_collisions_and_no_more(
     assert not result.safe
 
 
-def test_an_unknown_planner_is_answered_with_the_nearest(mushr: Vehicle) -> None:
-    task = room()
-    wrong = dataclasses.replace(task, planning=task.planning.model_copy(update={"planner": "rrrt"}))
-    (problem,) = raised(lambda: plan_task(wrong, mushr, FEW))
+def test_an_unknown_planner_is_answered_with_the_nearest() -> None:
+    (problem,) = raised(lambda: search_named("rrrt"))
     assert (problem.file, problem.argument, problem.code) == ("planner", True, Code.NOT_FOUND)
     assert "'rrt'" in problem.expected
 

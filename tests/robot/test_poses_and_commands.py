@@ -190,7 +190,7 @@ def test_a_cycle_on_the_clock_has_its_own_duration_and_leaves_time_to_decide(tim
 def test_the_least_cycle_on_the_clock_is_the_one_that_the_problem_states() -> None:
     method = load_method("adaptive-kraft")
     for cycle, lead, refused in ((0.6, 0.1, False), (0.7, 0.5, True), (0.8, 0.5, False)):
-        timing = {"clock_cycle": cycle, "lead": lead}
+        timing = {"cycle": cycle, "clock_cycle": cycle, "lead": lead}
         changed = method.model_copy(update={"planner": method.planner.model_copy(update=timing)})
         if refused:
             with pytest.raises(InputError, match=r"at least 0\.8 s"):
