@@ -64,7 +64,10 @@ def find(kind: Kind, name_or_path: str | Path) -> Path:
 
     Raises:
         InputError: if there is no such name or file; it suggests the most similar one.
+        TypeError: if it is neither text nor a path.
     """
+    if not isinstance(name_or_path, str | os.PathLike):
+        raise TypeError(f"{kind}: expected a name or a path, not {type(name_or_path).__name__}")
     if isinstance(name_or_path, str) and is_name(name_or_path):
         if name_or_path in names(kind):
             return folder(kind) / f"{name_or_path}.yaml"

@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from kraft.config.document import Document, Value, frozen
 from kraft.config.source import KeyPath, Place, format_path, parse_path
@@ -22,6 +22,8 @@ SWEEP_EXAMPLE: Final = "expected KEY=V1,V2, as in sensing.noise_scale=0,1,2"
 _WORD: Final = re.compile(r"[A-Za-z_./][\w./-]*")
 """Text that needs no quotes in YAML, unless it is `_UNQUOTED`."""
 _UNQUOTED: Final = re.compile(r"null|true|false|[-+.]?(inf|nan|[\d.]+.*)", re.IGNORECASE)
+
+Kind = TypeVar("Kind")
 
 
 @dataclass(frozen=True)
@@ -96,12 +98,17 @@ def repeated_values(key: str, values: Sequence[Value], place: Place) -> list[Dia
     ]
 
 
-def overrides_of(values: Mapping[str, Any], argument: str = "settings") -> tuple[Override, ...]:
+def overrides_of(values: Mapping[str, Any] | Sequence[Override], argument: str = "settings") -> tuple[Override, ...]:
     """Overrides from a mapping of dotted keys to values, as in Python code; `argument` is the name of the argument.
+
+    Overrides stay as they are.
 
     Raises:
         InputError: if a key is not a dotted key, or lies within another one.
+        TypeError: if the values are neither.
     """
+    if not isinstance(values, Mapping):
+        return all_of_kind(Override, values, argument)
     place = Place(argument, argument=True)
     found = [Override(str(key), frozen(value), place) for key, value in values.items()]
     problems = [each.diagnostic("is not a dotted key", EXAMPLE, Code.SYNTAX) for each in found if not each.path]
@@ -109,6 +116,17 @@ def overrides_of(values: Mapping[str, Any], argument: str = "settings") -> tuple
     if problems:
         raise InputError(problems)
     return tuple(found)
+
+
+def all_of_kind(kind: type[Kind], values: Sequence[Kind], argument: str) -> tuple[Kind, ...]:
+    """Values of an argument that may be a mapping and is not, all of one kind.
+
+    Raises:
+        TypeError: if they are not.
+    """
+    if isinstance(values, Sequence) and all(isinstance(each, kind) for each in values):
+        return tuple(values)
+    raise TypeError(f"{argument}: expected a mapping of dotted keys, not {type(values).__name__}")
 
 
 def repeated(overrides: Sequence[Override]) -> list[Diagnostic]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import types
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -304,8 +305,10 @@ def _missing(source: Source, path: KeyPath, known: Known, discriminator: str) ->
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Whether a value of a file, which may be anything, is a number."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    """Whether a value of a file, which may be anything, is a number that can be computed with."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return abs(value) <= sys.float_info.max
+    return isinstance(value, float)
 
 
 def describe(value: object) -> str:

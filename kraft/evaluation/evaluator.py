@@ -102,6 +102,7 @@ def evaluate(
     Raises:
         InputError: with every problem of the arguments; if the folder cannot be written, or if the resumed folder
             belongs to another evaluation.  Finished trials stay in the folder.
+        TypeError: if scenarios, methods, settings, values to vary, suite or vehicle are of another type.
         Unreachable: with every unreachable goal, before the folder is made.
         MissingError: if a part of the installation is missing.
         Defect: if workers do not start.  A defect inside a trial fails that trial only.

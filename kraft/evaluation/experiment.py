@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from os import fspath
 from pathlib import Path
 from typing import Final, TypeAlias
 
@@ -31,7 +30,7 @@ from kraft.trial.planning_vehicle import (
 )
 from kraft.trial.unguided_goal import unguided_goal
 from kraft.vehicles.load import load_vehicle
-from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
+from kraft.vehicles.reference import VehicleProblem, reference_of, resolve_vehicle
 from ompl_ext.vehicle import Vehicle
 
 SUITE: Final = "paper"
@@ -146,7 +145,7 @@ def experiment_of(
     problems.found += [*out_of_range("trials", trials, 1, TRIALS_MAX), *out_of_range("seed", seed, 0)]
     entries = problems.of(lambda: entries_of(scenarios, suite=suite, settings=settings, vary=vary)) or []
     loaded = _methods(methods, problems)
-    reference = None if vehicle is None else problems.of(lambda: _reference(fspath(vehicle)))
+    reference = None if vehicle is None else problems.of(lambda: _reference(reference_of(vehicle)))
     problems.check()
     if realtime:
         problems.found += [diagnostic for method in loaded for diagnostic in _too_little_time(method)]

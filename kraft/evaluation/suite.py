@@ -8,16 +8,25 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
+import numpy as np
 from pydantic import Field, StringConstraints
 
 from kraft.config import bundled
 from kraft.config.document import Document, Value
-from kraft.config.overrides import Override, overrides_of, plain_value, repeated, repeated_values, value_text
+from kraft.config.overrides import (
+    Override,
+    all_of_kind,
+    overrides_of,
+    plain_value,
+    repeated,
+    repeated_values,
+    value_text,
+)
 from kraft.config.schema import Name, StrictModel, check, part
 from kraft.config.source import Place, Source
 from kraft.config.yaml_reader import read_document
@@ -28,7 +37,7 @@ EntryName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+
 ScenarioLike: TypeAlias = str | Path | Scenario
 Settings: TypeAlias = Mapping[str, Any] | Sequence[Override]
 """Values of dotted keys."""
-Sweeps: TypeAlias = Mapping[str, Sequence[Any]] | Sequence[tuple[Override, ...]]
+Sweeps: TypeAlias = Mapping[str, Sequence[Any] | np.ndarray[Any, Any]] | Sequence[tuple[Override, ...]]
 """Several values for each dotted key."""
 
 
@@ -123,8 +132,8 @@ def entries_of(
     Raises:
         InputError: with every problem of the suite, the scenarios, the keys and their values.
     """
-    common = overrides_of(settings) if isinstance(settings, Mapping) else tuple(settings)
-    sweeps = _sweeps(vary) if isinstance(vary, Mapping) else tuple(vary)
+    common = overrides_of(settings)
+    sweeps = _sweeps(vary) if isinstance(vary, Mapping) else all_of_kind(tuple, vary, "vary")
     problems = repeated([*common, *(sweep[0] for sweep in sweeps)])
     if problems:
         raise InputError(problems)
@@ -169,12 +178,18 @@ def _drafts(scenarios: Sequence[ScenarioLike], problems: list[Diagnostic]) -> li
 
 
 def list_problems(noun: str, given: Sequence[object]) -> Iterator[Diagnostic]:
-    """Problems of the argument that lists names, paths or objects: it is one name, is empty, or has an empty name."""
+    """Problems of the argument that lists names, paths or objects: it is one name, is empty, or has an empty name.
+
+    Raises:
+        TypeError: if it is no list, or another iterable that can be read only once.
+    """
     if isinstance(given, str | Path):
         expected = f"expected a list of {noun}s, as in [{str(given)!r}]"
         yield Diagnostic(f"{noun}s", f"is the text {str(given)!r}", expected, code=Code.TYPE, argument=True)
         return
-    if not given:
+    if not isinstance(given, Collection):
+        raise TypeError(f"{noun}s: expected a list of {noun}s, not {type(given).__name__}")
+    if len(given) == 0:
         expected = f"expected at least one {noun}"
         yield Diagnostic(f"{noun}s", "none are given", expected, code=Code.MISSING, argument=True)
     if "" in given:
@@ -265,10 +280,12 @@ def _check_apart(draft: _Draft, common: Sequence[Override], sweeps: Sequence[tup
 
 def _has_values(values: object) -> bool:
     """Whether the values of a varied key are a list, of Python or numpy, that is not empty."""
+    if isinstance(values, np.ndarray):
+        return values.size > 0 and values.ndim > 0
     return isinstance(values, Sized) and not isinstance(values, str) and len(values) > 0
 
 
-def _sweeps(vary: Mapping[str, Sequence[Any]]) -> tuple[tuple[Override, ...], ...]:
+def _sweeps(vary: Mapping[str, Sequence[Any] | np.ndarray[Any, Any]]) -> tuple[tuple[Override, ...], ...]:
     """Overrides for each value of each key."""
     empty = [key for key, values in vary.items() if not _has_values(values)]
     if empty:

@@ -107,8 +107,11 @@ def plan_task(
     Raises:
         InputError: if start or goal is in collision or out of bounds, the previous plan is not of this vehicle,
             there is no such planner, or the seed is negative.
+        TypeError: if the previous plan is no `Previous`, which holds a plan and the time since its start.
         Defect: if a plan of DIRT fails verification.
     """
+    if not isinstance(previous, Previous | None):
+        raise TypeError(f"previous: expected a kraft.planning.search.Previous, not {type(previous).__name__}")
     search = search_named(task.planning.planner)
     check_threads(task.planning.planner, threads)
     check_seed(seed)
@@ -195,14 +198,16 @@ def plan(
 
     Raises:
         InputError: with what is wrong with scenario, vehicle or budget, or as `plan_task`.
-        TypeError: if the scenario is none of these.
+        TypeError: if the scenario, the vehicle or the previous plan is none of these.
         Defect: if the plan found does not pass exact verification.
     """
     loaded = load_scenario(scenario) if isinstance(scenario, str | Path) else scenario
     task = loaded.task() if isinstance(loaded, Scenario) else loaded
     if not isinstance(task, Task):
         raise TypeError(f"scenario: expected a name, a path, a Scenario or a Task, not {type(scenario).__name__}")
-    model = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle) if vehicle else vehicle_of_task(task)
+    if vehicle is None:
+        vehicle = vehicle_of_task(task)
+    model = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
     budget = None
     if iterations is not None or time is not None:
         limits = {"iterations": _number(iterations), "time": _number(time)}

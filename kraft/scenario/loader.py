@@ -54,9 +54,10 @@ def load_scenario(name_or_path: str | Path, settings: Mapping[str, Any] | Sequen
 
     Raises:
         InputError: with every problem of the file and of the settings, or if there is no such name or file.
+        TypeError: if the first is neither text nor a path, or the settings are no mapping.
     """
     path = bundled.find("scenario", name_or_path)
-    overrides = overrides_of(settings) if isinstance(settings, Mapping) else settings or ()
+    overrides = overrides_of(settings if settings is not None else ())
     return scenario_from(overridden(read_document(path), overrides), path.parent)
 
 

@@ -48,7 +48,7 @@ def vehicle_reference(scenario: Scenario, method: Method, vehicle: str | None = 
         InputError: if the method's reference is wrong, reported at its line.
     """
     if vehicle is not None or method.planner.vehicle is None:
-        return vehicle or scenario.vehicle
+        return scenario.vehicle if vehicle is None else vehicle
     try:
         own = resolve_vehicle(method.planner.vehicle, Path(method.source.file).parent)
     except VehicleProblem as error:

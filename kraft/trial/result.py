@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from os import fspath
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from kraft.text import finite
 from kraft.trial.cause import Cause
 from kraft.trial.measures import Measures, Step
 from kraft.trial.planning_vehicle import check_robot, planning_vehicle
+from kraft.vehicles.reference import reference_of
 from ompl_ext.vehicle import Vehicle
 
 
@@ -52,11 +52,17 @@ class TrialSpec:
     realtime: bool = False
 
     def __post_init__(self) -> None:
-        """Check the seed, which may be a whole number of numpy.
+        """Check the seed, which may be a whole number of numpy, and that all else is loaded.
 
         Raises:
-            InputError: if it is negative or no whole number.
+            InputError: if the seed is negative or no whole number.
+            TypeError: if the scenario, the method or the vehicle is another thing, such as its name.
         """
+        for name, kind in (("scenario", Scenario), ("method", Method), ("vehicle", Vehicle)):
+            value = getattr(self, name)
+            if not isinstance(value, kind):
+                expected = f"expected a {kind.__name__}, not {type(value).__name__}"
+                raise TypeError(f"{name}: {expected}; `TrialSpec.load` takes names and paths")
         check_seed(self.seed)
         object.__setattr__(self, "seed", int(self.seed))
 
@@ -75,9 +81,10 @@ class TrialSpec:
 
         Raises:
             InputError: with what is wrong with scenario, settings, method, vehicle or seed, or with where the start is.
+            TypeError: if one of them is neither a name nor a path.
         """
         loaded, loaded_method = load_scenario(scenario, settings), load_method(method)
-        model = planning_vehicle(loaded, loaded_method, None if vehicle is None else fspath(vehicle))
+        model = planning_vehicle(loaded, loaded_method, None if vehicle is None else reference_of(vehicle))
         check_robot(loaded, model)
         check_placement(loaded, model, start_state(loaded, model))
         return cls(loaded, loaded_method, model, seed)

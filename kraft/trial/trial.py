@@ -56,7 +56,10 @@ def run_trial(
         InputError: if the true robot cannot be simulated there or takes other controls, or the camera does not see it.
         MissingDependency: if frames of the camera are rendered and OpenCV or OpenGL is missing.
         Defect: if a plan fails its verification.
+        TypeError: if `spec` is no `TrialSpec`.
     """
+    if not isinstance(spec, TrialSpec):
+        raise TypeError(f"spec: expected a TrialSpec, as by TrialSpec.load, not {type(spec).__name__}")
     # only `on_step` may draw the world
     world = world or world_of(spec.scenario, spec.vehicle, spec.seed, visuals=on_step is not None)
     trial = _Trial(spec, keep_trees, world)

@@ -5,16 +5,16 @@ What a vehicle file states fits its model in the names of parameters and control
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache, lru_cache
-from os import fspath
 from pathlib import Path
 from typing import Any
 
 from kraft.config import bundled
-from kraft.config.document import Document
-from kraft.config.schema import check
+from kraft.config.document import Document, frozen
+from kraft.config.schema import check, describe, is_number
 from kraft.config.source import Source
 from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError
@@ -23,13 +23,13 @@ from kraft.vehicles import is_car
 from kraft.vehicles.code import StatedByCode, check_functions, check_stated, vehicle_in_code, vehicle_of
 from kraft.vehicles.config import SPEED_EXPECTED, Parameter, VehicleConfig, load_vehicle_config
 from kraft.vehicles.identification_record import SpeedPrediction
-from kraft.vehicles.reference import VehicleProblem, is_code, resolve_vehicle, split_file
+from kraft.vehicles.reference import VehicleProblem, is_code, reference_of, resolve_vehicle, split_file
 from kraft.vehicles.true_robot import CarDimensions, Robot, with_files
 from ompl_ext.vehicle import Footprint, OpenLoopErrors, Vehicle
 
 
 def load_vehicle(
-    reference: str | Path, folder: Path | None = None, parameters: Mapping[str, float] | None = None
+    reference: str | Path, folder: str | Path | None = None, parameters: Mapping[str, float] | None = None
 ) -> Vehicle:
     """Load a bundled vehicle (``mushr``), a YAML file, ``module:attribute`` or ``path/to/file.py:attribute``.
 
@@ -40,13 +40,17 @@ def load_vehicle(
 
     Raises:
         InputError: with every problem of the reference, the file, the code or the parameters.
+        TypeError: if the reference is neither text nor a path, or the parameters are no mapping.
     """
-    reference = fspath(reference)
-    resolved = resolved_reference(reference, folder or Path.cwd())
+    if not isinstance(parameters, Mapping | None):
+        raise TypeError(f"parameters: expected a mapping of names to values, not {type(parameters).__name__}")
+    values: Mapping[str, float] = frozen(parameters or {})
+    reference = reference_of(reference)
+    resolved = resolved_reference(reference, Path.cwd() if folder is None else Path(folder))
     if is_code(resolved):
-        vehicle = with_parameters(vehicle_in_code(resolved, reference), parameters or {})
+        vehicle = with_parameters(vehicle_in_code(resolved, reference), values)
     else:
-        vehicle = configured(read_vehicle_file(resolved).with_values(parameters or {}))
+        vehicle = configured(read_vehicle_file(resolved).with_values(values))
     check_functions(vehicle, reference)
     return vehicle
 
@@ -213,15 +217,21 @@ def with_parameters(vehicle: Vehicle, parameters: Mapping[str, float]) -> Vehicl
     """Same vehicle with other values of some parameters.
 
     Raises:
-        InputError: for parameters that the vehicle does not have.
+        InputError: for parameters that the vehicle does not have, and values that are no finite numbers.
     """
-    unknown = [name for name in parameters if name not in vehicle.parameters]
-    if unknown:
-        problem, none = f"{vehicle.name} has no such parameter", f"{vehicle.name} has no parameters"
-        raise InputError(
-            Diagnostic(name, problem, suggestion(name, vehicle.parameters, none=none), code=Code.UNKNOWN)
-            for name in unknown
-        )
+    problem, none = f"{vehicle.name} has no such parameter", f"{vehicle.name} has no parameters"
+    problems = [
+        Diagnostic(name, problem, suggestion(name, vehicle.parameters, none=none), code=Code.UNKNOWN)
+        for name in parameters
+        if name not in vehicle.parameters
+    ]
+    problems += [
+        Diagnostic(name, f"is {describe(value)}", "expected a finite number")
+        for name, value in parameters.items()
+        if name in vehicle.parameters and not (is_number(value) and math.isfinite(value))
+    ]
+    if problems:
+        raise InputError(problems)
     return vehicle.with_parameters(parameters)
 
 

@@ -43,6 +43,19 @@ def is_code(text: str) -> bool:
     return is_attribute(text) or split_file(text) is not None
 
 
+def reference_of(vehicle: str | Path) -> str:
+    """Reference of a text or a path; a path is never a bundled name, as for scenarios and methods.
+
+    Raises:
+        TypeError: if it is neither.
+    """
+    if not isinstance(vehicle, str | os.PathLike):
+        raise TypeError(f"vehicle: expected a name, a path or code, not {type(vehicle).__name__}")
+    text = os.fspath(vehicle)
+    is_path = not isinstance(vehicle, str) and not is_code(text) and bundled.is_name(text)
+    return os.path.join(os.curdir, text) if is_path else text
+
+
 def resolve_vehicle(reference: str, folder: Path) -> str:
     """Check a reference and make its path, relative to ``folder``, absolute.
 

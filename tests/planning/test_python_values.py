@@ -74,3 +74,62 @@ def test_one_name_is_no_list_of_names() -> None:
 def test_what_is_no_scenario_is_refused_by_its_type() -> None:
     with pytest.raises(TypeError, match="not NoneType"):
         kraft.plan(None, "mushr")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("call", "names"),
+    [
+        (lambda: kraft.load_scenario(["turns"]), "scenario: .* not list"),  # type: ignore[arg-type]
+        (lambda: kraft.load_method(kraft.load_method("kraft")), "method: .* not Method"),  # type: ignore[arg-type]
+        (lambda: kraft.load_vehicle(3), "vehicle: .* not int"),  # type: ignore[arg-type]
+        (lambda: kraft.load_scenario("turns", "a=1"), "settings: .* not str"),  # type: ignore[arg-type]
+        (lambda: kraft.load_scenario("turns", [1]), "settings: .* not list"),  # type: ignore[list-item]
+        (lambda: kraft.load_vehicle("mushr", parameters=[("L", 0.3)]), "parameters: .* not list"),  # type: ignore[arg-type]
+        (lambda: spec(vehicle=kraft.load_vehicle("mushr")), "vehicle: .* not Vehicle"),
+        (lambda: kraft.TrialSpec("turns", "kraft", "mushr", 0), "scenario: .* not str"),  # type: ignore[arg-type]
+        (lambda: kraft.run_trial("turns"), "spec: .* not str"),  # type: ignore[arg-type]
+        (lambda: kraft.plan("turns", previous=0), "previous: .* not int"),  # type: ignore[arg-type]
+        (lambda: kraft.plan("turns", []), "vehicle: .* not list"),  # type: ignore[arg-type]
+        (lambda: experiment(vary=[1]), "vary: .* not list"),
+        (lambda: experiment(methods=None), "methods: .* not NoneType"),
+        (lambda: experiment(scenarios=(name for name in ["turns"])), "scenarios: .* not generator"),
+    ],
+)
+def test_a_value_of_another_type_is_refused_by_the_name_of_its_argument(call: Any, names: str) -> None:
+    with pytest.raises(TypeError, match=names):
+        call()
+
+
+def test_a_path_is_never_a_bundled_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for call in (
+        lambda: kraft.load_scenario(Path("turns")),
+        lambda: kraft.load_method(Path("kraft")),
+        lambda: kraft.load_vehicle(Path("mushr")),
+        lambda: spec(vehicle=Path("mushr")),
+    ):
+        assert refused(call)[0] is Code.NOT_FOUND
+
+
+def test_an_empty_name_of_a_vehicle_does_not_stand_for_the_scenario_s() -> None:
+    assert refused(lambda: spec(vehicle=""))[0] is Code.NOT_FOUND
+    assert refused(lambda: kraft.plan("turns", ""))[0] is Code.NOT_FOUND
+
+
+def test_a_folder_of_vehicles_may_be_text(tmp_path: Path) -> None:
+    (tmp_path / "own.yaml").write_bytes(Path(bundled.find("vehicle", "mushr")).read_bytes())
+    assert kraft.load_vehicle("own.yaml", str(tmp_path)).name == "mushr"
+
+
+@pytest.mark.parametrize("vehicle", ["mushr", "kraft.vehicles.mushr:MUSHR"])
+def test_parameters_of_a_vehicle_are_checked_wherever_it_is_from(vehicle: str) -> None:
+    assert type(kraft.load_vehicle(vehicle, parameters={"L": np.array(0.3)}).parameters["L"]) is float  # type: ignore[dict-item]
+    for value in (float("nan"), "0.3", None, True, 10**400, [0.3]):
+        assert "L" in refused(lambda value=value: kraft.load_vehicle(vehicle, parameters={"L": value}))[1]  # type: ignore[misc]
+    assert refused(lambda: kraft.load_vehicle(vehicle, parameters={1: 0.3}))[0] is Code.UNKNOWN  # type: ignore[dict-item]
+
+
+def test_one_number_of_numpy_is_no_list_of_values() -> None:
+    assert refused(lambda: experiment(vary={"sensing.noise_scale": np.array(1.0)}))[0] is Code.MISSING
+    made = experiment(scenarios=np.array(["turns", "slip"]), methods=np.array(["kraft"]))
+    assert [cell.entry.name for cell in made.cells] == ["turns", "slip"]
