@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from numbers import Integral
 
 import numpy as np
 
 from ompl_ext.arrays import Bools, Floats
 from ompl_ext.kernels.kernel_types import LANE_WIDTH
-from ompl_ext.vehicle import Vehicle
+from ompl_ext.vehicle import Vehicle, pair
 
 REST_SHARE = 0.02
 """Largest share of its top speed at which a vehicle stands: a slow one drives at the speed that is rest for others."""
@@ -36,13 +37,17 @@ class Goal:
         """Take any sequence of two numbers as the centre.
 
         Raises:
-            ValueError: the centre is not two finite numbers, or the radius or the tolerance is negative.
+            ValueError: the centre is not two finite numbers, the radius is negative or infinite, the tolerance is
+                negative, or limits are not a lowest and a highest number by name.
         """
         center = tuple(map(float, self.center))
         if len(center) != 2 or not all(map(math.isfinite, (*center, self.heading))):
             raise ValueError(f"goal: center {self.center}, heading {self.heading}; expected (x, y) and rad, finite")
-        if not (self.radius >= 0.0 and self.tolerance >= 0.0):
-            raise ValueError(f"goal: radius {self.radius}, tolerance {self.tolerance}; expected 0 or more")
+        if not (0.0 <= self.radius < math.inf and self.tolerance >= 0.0):
+            raise ValueError(f"goal: radius {self.radius}, tolerance {self.tolerance}; expected 0 or more, m finite")
+        limits = self.limits
+        if not isinstance(limits, Mapping) or any(map(math.isnan, chain.from_iterable(map(pair, limits.values())))):
+            raise ValueError(f"goal: limits {limits!r}; expected {{name: (lowest, highest)}}")
         object.__setattr__(self, "center", center)
 
     @property

@@ -94,7 +94,7 @@ class OpenLoopErrors:
         Raises:
             ValueError: with every problem.
         """
-        low, high = _pair(self.speeds)
+        low, high = pair(self.speeds)
         after = _numbers(self.after)
         problems = []
         if not 0.0 <= low <= high < math.inf:
@@ -265,7 +265,7 @@ def _shape_problems(vehicle: Vehicle) -> list[str]:
     if not {"x", "y"} <= set(vehicle.state):
         problems.append(f"state needs components named x and y (and theta if it turns), got {vehicle.state}")
     for name, bounds in vehicle.controls.items():
-        low, high = _pair(bounds)
+        low, high = pair(bounds)
         if not -math.inf < low < high < math.inf:
             problems.append(f"control {name} needs finite bounds with low < high, got {bounds}")
     for kind, names in (("rest", vehicle.rest), ("limits", vehicle.limits)):
@@ -302,7 +302,7 @@ def _number_problems(vehicle: Vehicle) -> Iterator[str]:
     """Parameters that are not numbers, limits that no state keeps, and what is stated for estimators."""
     yield from _parameter_problems(vehicle)
     for name, bounds in vehicle.limits.items():
-        low, high = _pair(bounds)
+        low, high = pair(bounds)
         if not low < high:
             yield f"the limits of {name} need low < high, got {bounds}"
     if vehicle.gravity_share is not None:
@@ -311,7 +311,7 @@ def _number_problems(vehicle: Vehicle) -> Iterator[str]:
         if missing := [name for name in FORCE if name not in vehicle.parameters]:
             yield f"gravity_share needs the parameters {' and '.join(FORCE)}, there is no {' and no '.join(missing)}"
     if vehicle.delay is not None:
-        value, std = _pair(vehicle.delay)
+        value, std = pair(vehicle.delay)
         if not (0.0 <= value < math.inf and 0.0 < std < math.inf):
             yield f"delay needs a value of at least 0 s and a positive std, both finite, got {vehicle.delay}"
 
@@ -326,7 +326,7 @@ def _is_finite(value: object) -> bool:
     return isinstance(value, Real) and math.isfinite(value)
 
 
-def _pair(values: object) -> tuple[float, float]:
+def pair(values: object) -> tuple[float, float]:
     """Two numbers, NaN if the values are anything else."""
     numbers = _numbers(values)
     return (numbers[0], numbers[1]) if len(numbers) == 2 else (math.nan, math.nan)
@@ -346,12 +346,10 @@ def _range_problems(vehicle: Vehicle) -> list[str]:
         if not isinstance(allowed, ParameterRange):
             problems.append(f"the range of {name} needs a ParameterRange, got {allowed!r}")
         elif not (allowed.is_known or _is_uncertain(allowed)):
-            problems.append(f"the range of {name} needs low < high and a finite positive std, got {allowed}")
+            problems.append(f"the range of {name} needs finite low < high and a finite positive std, got {allowed}")
     return problems
 
 
 def _is_uncertain(allowed: ParameterRange) -> bool:
     numbers = allowed.low, allowed.high, allowed.std
-    return all(isinstance(each, Real) for each in numbers) and (
-        allowed.low < allowed.high and 0 < allowed.std < math.inf
-    )
+    return all(map(_is_finite, numbers)) and allowed.low < allowed.high and allowed.std > 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from support.kernels import NO_SAFETY
 from support.ompl_setup import BOUNDS, START, arena, planned
 
 from kraft.vehicles.benchmark import BENCHMARK
+from kraft.vehicles.mushr import MUSHR
 from ompl_ext import planner as module
 from ompl_ext.callback import CallbackSearch
 from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace, box
@@ -23,6 +25,7 @@ from ompl_ext.planner import DIRT
 from ompl_ext.query import Goal, Settings
 from ompl_ext.solver import DirtSolver
 from ompl_ext.system import simple_setup
+from ompl_ext.vehicle import ParameterRange
 
 ou.setLogLevel(ou.LOG_NONE)
 STATUS = ob.PlannerStatus
@@ -356,3 +359,24 @@ def test_settings_that_count_are_whole_numbers(name: str) -> None:
     with pytest.raises(ValueError, match=f"settings: {name} must be whole numbers"):
         Settings(**{name: 1.5})
     assert getattr(Settings(**{name: np.int64(2)}), name) == 2
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"radius": math.inf},
+        {"limits": "v"},
+        {"limits": {"v": ("0", "1")}},
+        {"limits": {"v": 1}},
+        {"limits": {"v": "01"}},
+    ],
+)
+def test_a_goal_without_a_border_or_with_limits_that_are_no_numbers_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"^goal: "):
+        Goal(**{"center": (1.0, 1.0), "radius": 0.25, **wrong})
+
+
+@pytest.mark.parametrize("bounds", [(-math.inf, 1.0), (0.1, math.inf), ("0", "1")])
+def test_the_range_of_a_parameter_has_finite_bounds(bounds: tuple[Any, Any]) -> None:
+    with pytest.raises(ValueError, match="finite low < high"):
+        replace(MUSHR, ranges={"L": ParameterRange(*bounds, std=0.1)})
