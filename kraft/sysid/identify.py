@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -41,6 +42,7 @@ from kraft.sysid.selection import (
 from kraft.sysid.smoothing import measured_noise
 from kraft.sysid.terms import has_terms, identify_terms
 from kraft.vehicles.config import VehicleConfig
+from kraft.vehicles.reference import reference_of
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
@@ -51,7 +53,7 @@ REFITS_MAX = 3
 
 
 def identify(
-    vehicle: VehicleConfig | Vehicle | str,
+    vehicle: VehicleConfig | Vehicle | str | Path,
     logs: LogSet | Sequence[Log],
     settings: Settings | None = None,
     on_iteration: OnIteration = ignore_iteration,
@@ -69,10 +71,16 @@ def identify(
     Raises:
         InputError: if the logs cannot be used (no motion, other controls than those of the vehicle), or if the settings
             name a parameter that does not exist or leave none to identify.
+        TypeError: if vehicle, logs or settings are of another type.
     """
-    settings = settings or Settings()
-    vehicle = load_base_vehicle(vehicle).definition if isinstance(vehicle, str) else vehicle
+    settings = Settings() if settings is None else settings
+    if not isinstance(settings, Settings):
+        raise TypeError(f"settings: expected kraft.sysid.Settings, not {type(settings).__name__}")
+    if not isinstance(vehicle, VehicleConfig | Vehicle):
+        vehicle = load_base_vehicle(reference_of(vehicle)).definition
     logs = logs.logs if isinstance(logs, LogSet) else logs
+    if not isinstance(logs, Sequence) or not all(isinstance(log, Log) for log in logs):
+        raise TypeError(f"logs: expected the result of read_logs, or a list of its logs, not {type(logs).__name__}")
     if isinstance(vehicle, VehicleConfig) and has_terms(vehicle):
         return identify_terms(vehicle, logs, settings, on_iteration).identification
     model = vehicle_of(vehicle)

@@ -61,6 +61,20 @@ class Settings:
     iterations: int = 100
     """largest number of iterations of one fit"""
 
+    def __post_init__(self) -> None:
+        """Take lists of names.
+
+        Raises:
+            TypeError: if `frozen` is one name instead of several, or noise is no `Noise`.
+        """
+        if isinstance(self.frozen, str):
+            raise TypeError(f"frozen: expected a tuple of names, not the text {self.frozen!r}")
+        if not isinstance(self.noise, Noise | None):
+            raise TypeError(f"noise: expected a kraft.sysid.Noise, not {type(self.noise).__name__}")
+        object.__setattr__(self, "frozen", tuple(self.frozen))
+        if not isinstance(self.auxiliary, str):
+            object.__setattr__(self, "auxiliary", tuple(self.auxiliary))
+
 
 AT_BOUND: Final = 1e-6
 """Share of the range between the bounds within which a value counts as at a bound, and an auxiliary parameter as 0."""

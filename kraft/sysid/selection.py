@@ -12,11 +12,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from numbers import Real
 from typing import Final
 
 import numpy as np
 
-from kraft.errors import Code, Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError, out_of_range
 from kraft.logs.log import Log
 from kraft.sysid.interface import CORRELATION_REMOVED, GRAPHS, SELECTIONS, Settings
 from kraft.sysid.optimiser import Optimum, Uncertainty, held_at_bounds, inverse
@@ -211,8 +212,12 @@ def check_settings(vehicle: VehicleConfig | Vehicle, settings: Settings) -> None
     if isinstance(settings.auxiliary, str) and settings.auxiliary not in SELECTIONS:
         expected = f"{suggestion(settings.auxiliary, SELECTIONS)}, or a tuple of names"
         problems.append(Diagnostic("auxiliary", f"is {settings.auxiliary!r}", expected, argument=True))
+    texts = {name: value for name, value in settings.values.items() if not isinstance(value, Real)}
+    for name, value in texts.items():
+        problems.append(Diagnostic("values", f"is {value!r}", "expected a number", path=name, argument=True))
     every = parameter_specs(vehicle, tuple(auxiliary_parameters(model)))
-    problems += [found for spec in every if (found := out_of_bounds(spec, settings.values))]
+    given = {name: value for name, value in settings.values.items() if name not in texts}
+    problems += [found for spec in every if (found := out_of_bounds(spec, given))]
     if problems:
         raise InputError(problems)
 
@@ -273,14 +278,28 @@ def _not_positive(settings: Settings) -> Iterator[Diagnostic]:
         ("control_noise", settings.control_noise),
         ("noise", vars(settings.noise) if settings.noise else {}),
         ("settings", {"step": settings.step, "robust": 1.0 if settings.robust is None else settings.robust}),
+        ("settings", {"horizon": settings.horizon}),
     ]
     for field, values in fields:
         for name, value in values.items():
-            if not (value > 0.0 and math.isfinite(value)):
-                yield Diagnostic(field, f"{name} is {value:g}", "expected a number greater than 0", argument=True)
-    for name, value in settings.variation.items():
-        if not (value >= 0.0 and math.isfinite(value)):
-            yield Diagnostic("variation", f"{name} is {value:g}", "expected a number of at least 0", argument=True)
+            if not (_is_number(value) and value > 0.0):
+                yield Diagnostic(field, f"{name} is {_shown(value)}", "expected a number greater than 0", argument=True)
+    at_least_0: list[tuple[str, Mapping[str, float]]] = [
+        ("variation", settings.variation), ("settings", {"clock_offset": settings.clock_offset or 0.0})
+    ]  # fmt: skip
+    for field, values in at_least_0:
+        for name, value in values.items():
+            if not (_is_number(value) and value >= 0.0):
+                yield Diagnostic(field, f"{name} is {_shown(value)}", "expected a number of at least 0", argument=True)
+    yield from out_of_range("iterations", settings.iterations, 1)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and math.isfinite(value)
+
+
+def _shown(value: object) -> str:
+    return f"{float(value):g}" if isinstance(value, Real) else repr(value)
 
 
 def with_clock_offset(settings: Settings, logs: Sequence[Log]) -> Settings:
