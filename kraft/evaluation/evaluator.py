@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from kraft.config.document import frozen
 from kraft.driving.control import kernel_modules, needs_steps
 from kraft.errors import Code, Diagnostic, Problems, Unreachable, out_of_range
 from kraft.evaluation.cluster import Cluster
@@ -107,7 +108,7 @@ def evaluate(
         MissingError: if a part of the installation is missing.
         Defect: if workers do not start.  A defect inside a trial fails that trial only.
     """
-    observer = observer or Observer()
+    observer, recorded = observer or Observer(), frozen(dict(arguments or {}))  # before a folder is made
     experiment = check_arguments(
         scenarios, methods, trials, seed, jobs, out, suite=suite, settings=settings, vary=vary, vehicle=vehicle,
         resume=resume, realtime=realtime,
@@ -118,7 +119,7 @@ def evaluate(
     executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
     if out is None:
         return _run_experiment(experiment, executor, None, observer, command_line)
-    folder = (reopen if resume else create)(Path(out), experiment, arguments or {})
+    folder = (reopen if resume else create)(Path(out), experiment, recorded)
     with closing(folder.journal):
         return _run_experiment(experiment, executor, folder, observer, command_line)
 

@@ -57,8 +57,17 @@ def read_logs(
     Raises:
         InputError: if there is no log at all, or if none can be read; with every problem.  It is a `MismatchError`
             where mapping file or controls fit none of the logs.
+        TypeError: if paths, controls or mapping are of another type.
     """
-    given = [paths] if isinstance(paths, str | Path) else list(paths)
+    given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    if other := [each for each in given if not isinstance(each, str | os.PathLike)]:
+        raise TypeError(f"paths: expected paths of files and folders, not {type(other[0]).__name__}")
+    if isinstance(controls, str) or not controls:
+        raise TypeError(f"controls: expected the names of a vehicle's controls, not {controls!r}")
+    if not isinstance(mapping, Mapping | None):
+        raise TypeError(f"mapping: expected the result of load_mapping, not {type(mapping).__name__}")
+    if "" in given:  # as a path it would be the working directory
+        raise InputError.of("logs", "there is an empty name", FORMATS)
     if not given:
         raise InputError.of("logs", "there are none to read", FORMATS, Code.MISSING)
     stated = mapping or Mapping()

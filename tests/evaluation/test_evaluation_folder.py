@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -35,6 +36,18 @@ def run(
 ) -> Evaluation:
     arguments = {"scenarios": SCENARIOS, "methods": METHODS, **options}
     return evaluate(trials=trials, seed=5, out=out, resume=resume, observer=observer, **arguments)
+
+
+def test_arguments_may_hold_what_json_does_not(tmp_path: Path) -> None:
+    run(tmp_path / "out", arguments={"noise": np.float32(0.5), "from": Path("here"), "seeds": np.arange(2)})
+    content = json.loads((tmp_path / "out/manifest.json").read_text())
+    assert content["arguments"] == {"noise": 0.5, "from": "here", "seeds": [0, 1]}
+
+
+def test_arguments_that_are_no_mapping_leave_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(TypeError):
+        run(tmp_path / "out", arguments=3)
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_folder_holds_everything(tmp_path: Path) -> None:
