@@ -32,7 +32,7 @@ from kraft.worlds.world import (
     above,
     finished,
     no_log,
-    reference_of,
+    resolved_argument,
     write_worlds,
 )
 from ompl_ext.motion import motion_of
@@ -226,7 +226,7 @@ def generate_worlds(
     problems = Problems()
     problems.found += [*out_of_range("count", count, 1, COUNT_MAX), *out_of_range("seed", seed, 0)]
     problems.found += _layout_problems(kind, density)
-    reference = None if vehicle is None else problems.of(lambda: reference_of(vehicle))
+    reference = None if vehicle is None else problems.of(lambda: resolved_argument(vehicle))
     problems.of(lambda: check_new_folder(out))
     problems.check()
     worlds: list[World] = []

@@ -38,7 +38,7 @@ from kraft.worlds.world import (
     above,
     no_log,
     plain_name,
-    reference_of,
+    resolved_argument,
     write_worlds,
 )
 from ompl_ext.arrays import Matrix
@@ -98,7 +98,7 @@ def read_sources(request: Request) -> list[Imported]:
     problems.found += _argument_problems(request)
     problems.of(lambda: check_new_folder(request.out))
     if (vehicle := request.vehicle) is not None:
-        request = replace(request, vehicle=problems.of(lambda: reference_of(vehicle)))
+        request = replace(request, vehicle=problems.of(lambda: resolved_argument(vehicle)))
     found = [problems.of(partial(_read, request, path)) for path in _files(request, problems.found)]
     problems.check()
     return [each for each in found if each is not None]

@@ -101,7 +101,7 @@ def above(bounds: Mapping[str, Sequence[float]]) -> list[float]:
     return [round((x0 + x1) / 2, 3), round((y0 + y1) / 2, 3), HEIGHT]
 
 
-def reference_of(vehicle: str) -> str:
+def resolved_argument(vehicle: str) -> str:
     """Reference of a vehicle that holds in any folder; a path is relative to the working directory.
 
     Raises:
