@@ -50,13 +50,18 @@ class Footprint:
         """Radius of the largest disc around the origin inside the rectangle (m), 0 if the origin is outside."""
         return max(0.0, min(self.width / 2, self.length / 2 - abs(self.offset)))
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Place of the rear and of the front along the body frame's x axis (m)."""
+        return self.offset - self.length / 2, self.offset + self.length / 2
+
     def with_margin(self, margin: float) -> Footprint:
         """Rectangle that is larger by a margin (m) on each side."""
         return replace(self, length=self.length + 2.0 * margin, width=self.width + 2.0 * margin)
 
     def corners(self) -> Floats:
         """Corners counter-clockwise in the body frame, shape (4, 2)."""
-        front, rear, side = self.offset + self.length / 2, self.offset - self.length / 2, self.width / 2
+        (rear, front), side = self.ends, self.width / 2
         return np.array([[front, -side], [front, side], [rear, side], [rear, -side]])
 
 

@@ -29,8 +29,8 @@ from kraft.trial.planning_vehicle import (
     vehicle_reference,
 )
 from kraft.trial.unguided_goal import unguided_goal
-from kraft.vehicles.load import load_vehicle
-from kraft.vehicles.reference import VehicleProblem, reference_of, resolve_vehicle
+from kraft.vehicles.load import load_vehicle, resolved_reference
+from kraft.vehicles.reference import reference_of
 from ompl_ext.vehicle import Vehicle
 
 SUITE: Final = "paper"
@@ -160,10 +160,7 @@ def _reference(vehicle: str) -> str:
     Raises:
         InputError: if there is none, or it cannot be loaded.
     """
-    try:
-        reference = resolve_vehicle(vehicle, Path.cwd())
-    except VehicleProblem as error:
-        raise InputError.of(vehicle, error.problem, error.expected, error.code) from None
+    reference = resolved_reference(vehicle, Path.cwd())
     load_vehicle(reference)
     return reference
 

@@ -92,7 +92,7 @@ def outlines(footprint: Footprint, poses: Matrix) -> Floats:
 
 def arrowheads(footprint: Footprint, poses: Matrix) -> Floats:
     """Mark at the front of each footprint that shows the heading: shape (k, 3, 2), m."""
-    front, half = footprint.offset + footprint.length / 2, footprint.width / 2
+    (_, front), half = footprint.ends, footprint.width / 2
     tip, back = front - 0.08 * footprint.length, front - 0.25 * footprint.length
     return _placed(np.array([[back, 0.5 * half], [tip, 0.0], [back, -0.5 * half]]), poses)
 

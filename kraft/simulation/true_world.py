@@ -446,8 +446,8 @@ class ModelWorld:
     def _add_block(self, spec: Any) -> None:
         """Add the footprint as a block, with a stripe at its front."""
         shape, body = self.truth.footprint, spec.body(CAR)
-        front = shape.offset + shape.length / 2
-        parts = (("paint", shape.offset - shape.length / 2, 0.0), ("lamp", front - 0.1 * shape.length, 0.001))
+        back, front = shape.ends
+        parts = (("paint", back, 0.0), ("lamp", front - 0.1 * shape.length, 0.001))
         for material, rear, inset in parts:  # the stripe is a little larger, so that it is in front
             body.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_BOX,

@@ -249,7 +249,7 @@ def farthest_point(true: Matrix, expected: Matrix, footprint: Footprint) -> Floa
     far: Floats = np.zeros(len(true))
     x, y, x0, y0 = true[:, 0], true[:, 1], expected[:, 0], expected[:, 1]
     (c, s), (c0, s0) = ((np.cos(poses[:, 2]), np.sin(poses[:, 2])) for poses in (true, expected))
-    for along in (footprint.offset - footprint.length / 2, footprint.offset + footprint.length / 2):
+    for along in footprint.ends:
         for left in (-footprint.width / 2, footprint.width / 2):
             dx = (x + c * along - s * left) - (x0 + c0 * along - s0 * left)
             dy = (y + s * along + c * left) - (y0 + s0 * along + c0 * left)

@@ -152,7 +152,7 @@ def _by_default(vehicle: Vehicle) -> str:
 def _uncovered(outline: Footprint, vehicle: Vehicle) -> str:
     """What to say of a stated robot that reaches farther than the footprint of its model; else empty."""
     shape = vehicle.footprint
-    (rear, front), (own_rear, own_front) = _ends(outline), _ends(shape)
+    (rear, front), (own_rear, own_front) = outline.ends, shape.ends
     ends, side = max(front - own_front, own_rear - rear), (outline.width - shape.width) / 2.0
     if ends <= UNCOVERED * outline.length and side <= UNCOVERED * outline.width:
         return ""
@@ -161,11 +161,6 @@ def _uncovered(outline: Footprint, vehicle: Vehicle) -> str:
         f"{vehicle.name} ({shape.length:g} m x {shape.width:g} m) and reaches up to {max(ends, side):.2g} m beyond it, "
         f"where nothing keeps it from obstacles; expected footprint: {_that_covers(outline)} in the file of the vehicle"
     )
-
-
-def _ends(shape: Footprint) -> tuple[float, float]:
-    """Place of its rear and of its front along the vehicle, m."""
-    return shape.offset - shape.length / 2.0, shape.offset + shape.length / 2.0
 
 
 def _that_covers(outline: Footprint) -> str:
