@@ -149,11 +149,17 @@ def world_of(scenario: Scenario, vehicle: Vehicle, seed: int, visuals: bool = Tr
         InputError: if the robot cannot be simulated there, or takes other controls than the vehicle has.
     """
     true = true_robot(scenario, vehicle)
+    world: World | ModelWorld
     if true.robot.kind == "car":
-        return World(scenario, SimulatedCar(_car(vehicle, true)), visuals)
-    if true.robot.kind == "mjcf":
-        return _mjcf_world(scenario, vehicle, true, visuals)
-    return ModelWorld(scenario, _true_model(scenario, vehicle, true), true.robot.process_noise, seed)
+        world = World(scenario, SimulatedCar(_car(vehicle, true)), visuals)
+    elif true.robot.kind == "mjcf":
+        world = _mjcf_world(scenario, vehicle, true, visuals)
+    else:
+        world = ModelWorld(scenario, _true_model(scenario, vehicle, true), true.robot.process_noise, seed)
+    if world.collision is not None:
+        problem, expected = f"the robot touches {world.collision.obstacle!r}", "expected a start that is free"
+        raise InputError([scenario.source.diagnostic("start", problem, expected, code=Code.GEOMETRY)])
+    return world
 
 
 def check_world(scenario: Scenario, vehicle: Vehicle) -> None:
@@ -212,9 +218,6 @@ def _mjcf_world(scenario: Scenario, vehicle: Vehicle, true: TrueRobot, visuals: 
     if scenario.truth.vehicle != VehicleGap() or any(change.vehicle for change in scenario.truth.changes):
         raise InputError([_without_effect(scenario, "vehicle", "a robot of a MuJoCo model")])
     world = World(scenario, _mjcf(vehicle, true), visuals)
-    if world.collision is not None:
-        problem, expected = f"the robot touches {world.collision.obstacle!r}", "expected a start that is free"
-        raise InputError([scenario.source.diagnostic("start", problem, expected, code=Code.GEOMETRY)])
     if world.depth_in_floor > SUNK_MAX:
         problem = f"the robot is {1000 * world.depth_in_floor:.0f} mm deep in the floor, which is at height 0"
         raise InputError([true.problem("mjcf", problem, "expected a robot that stands on it", Code.GEOMETRY)])

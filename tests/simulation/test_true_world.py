@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from functools import cache
 from pathlib import Path
 
@@ -193,6 +194,18 @@ def test_a_box_where_a_bundled_car_starts_is_refused_before_the_drive() -> None:
     scene = hall("movable_boxes: [{center: [1, 2], size: [0.2, 0.2, 0.2], mass: 1}]")
     (problem,) = raised(lambda: check_robot(scene, vehicle("mushr-drive")))
     assert (problem.code, problem.path) == (Code.GEOMETRY, "truth.movable_boxes[0]")
+
+
+@pytest.mark.parametrize("long", ["car: {length: 3}", "model: van.yaml"])
+def test_a_true_robot_that_touches_an_obstacle_at_the_start_is_refused(long: str, tmp_path: Path) -> None:
+    """The footprint that plans is free there; a trial would end before its first tick."""
+    text = (ROOT / "configs" / "vehicles" / "mushr-drive.yaml").read_text()
+    (tmp_path / "van.yaml").write_text(re.sub(r"footprint: .*", "footprint: {length: 3.0, width: 0.28}", text))
+    (tmp_path / "scene.yaml").write_text((ROOT / "scenarios" / "turns.yaml").read_text() + f"\ntruth: {{{long}}}\n")
+    scene = load_scenario(tmp_path / "scene.yaml")
+    (problem,) = raised(lambda: world_of(scene, vehicle("mushr-drive"), 0))
+    assert (problem.code, problem.path) == (Code.GEOMETRY, "start")
+    assert problem.problem.startswith("the robot touches")
 
 
 def test_the_lightest_car_and_box_that_may_be_stated_are_simulated() -> None:
