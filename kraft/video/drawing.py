@@ -35,25 +35,29 @@ TRAIL_SPACING = 0.04
 
 @dataclass(frozen=True)
 class Snapshot:
-    """State of a trial at one time: truth, estimate and current cycle.
+    """State of a trial at one time: truth, estimate and current cycle, where the last two are known.
 
     Poses are x, y (m) and heading (rad).  `trail` (n, 3) are x, y and speed (m/s) of where the car has been;
-    `clearance` is the true distance of its footprint to the nearest obstacle, m.
+    `clearance` is the true distance of its footprint to the nearest obstacle, m; `configuration` (nq,) that of MuJoCo's
+    model, `contact` the first point of contact with an obstacle in the floor's frame, m.
     """
 
     time: float
     pose: Floats
     speed: float
-    estimate: Floats
+    estimate: Floats | None
     clearance: float
     cycle: Cycle | None
     trail: Matrix
+    configuration: Floats
+    contact: tuple[float, float, float] | None
 
 
 class SnapshotRecorder:
-    """Makes snapshots from the callbacks of `run_trial`."""
+    """Makes snapshots from the callbacks of `run_trial`, or of a simulated robot that another program drives."""
 
-    def __init__(self, spec: TrialSpec) -> None:
+    def __init__(self, spec: TrialSpec, *, external: bool = False) -> None:
+        """With `external` another program drives, whose plans and estimates are not known."""
         self._vehicle = spec.vehicle
         self._exact = ExactClearance(workspace_of(spec.scenario.task(), spec.vehicle), spec.vehicle.footprint)
         self._cycles: list[Cycle] = []
@@ -61,7 +65,8 @@ class SnapshotRecorder:
         self._cycle: Cycle | None = None
         self._trail: list[tuple[float, float, float]] = []
         start = spec.scenario.start
-        self._estimate: Floats = np.array([start.x, start.y, start.heading])
+        self._external = external
+        self._estimate: Floats | None = None if external else np.array([start.x, start.y, start.heading])
 
     def on_cycle(self, cycle: Cycle) -> None:
         """Record a cycle; snapshots contain it from its start on."""
@@ -70,7 +75,8 @@ class SnapshotRecorder:
 
     def on_step(self, world: TrueWorld, step: Step) -> Snapshot:
         """Record a tick of the controller and return the snapshot at it."""
-        self._estimate = poses_of(step.estimate[None, :], self._vehicle)[0]
+        if not self._external:
+            self._estimate = poses_of(step.estimate[None, :], self._vehicle)[0]
         return self.now(world)
 
     def now(self, world: TrueWorld) -> Snapshot:
@@ -89,6 +95,8 @@ class SnapshotRecorder:
             clearance=self._exact.distance(x, y, theta),
             cycle=self._cycle,
             trail=np.array([*self._trail, here]),
+            configuration=world.data.qpos.copy(),
+            contact=world.collision.point if world.collision is not None else None,
         )
 
 
@@ -275,8 +283,9 @@ def draw_collision(pen: Pen, point: tuple[float, float, float]) -> None:
 
 
 def draw_snapshot(pen: Pen, snapshot: Snapshot, vehicle: Vehicle) -> None:
-    """Draw the trail, coloured by speed, and the footprint at the estimated pose."""
+    """Draw the trail, coloured by speed, and the footprint at the estimated pose, where that is known."""
     speeds = (snapshot.trail[1:, 2] + snapshot.trail[:-1, 2]) / 2
     pen.shaded(snapshot.trail[:, :2], 0.022, TRAIL_HEIGHT, speed_colours(speeds, vehicle.top_speed))
-    estimated = outlines(vehicle.footprint, snapshot.estimate[None, :])[0]
-    pen.outline(estimated, 0.01, ESTIMATE_HEIGHT, colour(ESTIMATE))
+    if snapshot.estimate is not None:
+        estimated = outlines(vehicle.footprint, snapshot.estimate[None, :])[0]
+        pen.outline(estimated, 0.01, ESTIMATE_HEIGHT, colour(ESTIMATE))

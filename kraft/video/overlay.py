@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Final, TypeAlias
@@ -40,21 +40,28 @@ OPACITY: Final = 0.8
 SAMPLE: Final = 34
 ROW: Final = 22
 TYPE: Final = 14
+PLAN_TO_GOAL: Final = "plan to goal"
 Sample: TypeAlias = Callable[[ImageDraw.ImageDraw, int, int], None]
+LegendRow: TypeAlias = tuple[str, Sample]
 
 
 class Overlay:
     """Draws over pictures of one trial."""
 
-    def __init__(self, spec: TrialSpec, size: tuple[int, int], map_width: int) -> None:
-        """`size` is the picture's width and height, of which the map takes `map_width` at the right; px."""
+    def __init__(self, spec: TrialSpec, size: tuple[int, int], map_width: int, driver: str | None = None) -> None:
+        """`size` is the picture's width and height, of which the map takes `map_width` at the right; px.
+
+        `driver` names another program that drives, whose plans and estimates are not known.
+        """
         self._width, self._height = size[0] - map_width, size[1]
+        self._knows_plans = driver is None
         self._static = Pillow.new("RGBA", size, (0, 0, 0, 0))
         draw = ImageDraw.Draw(self._static)
         draw.rectangle((0, self._height - BAND, self._width - 1, self._height), fill=BACKGROUND)
         draw.rectangle((self._width - 1, 0, self._width, self._height), fill=BACKGROUND)
-        self._title(draw, spec)
-        draw_legend(draw, self._width - MARGIN, MARGIN, spec.vehicle.top_speed, _background())
+        self._title(draw, spec.scenario.name, spec.method.title if driver is None else driver)
+        rows = legend_rows(spec.vehicle.top_speed)
+        draw_legend(draw, self._width - MARGIN, MARGIN, rows if self._knows_plans else rows[-1:], _background())
 
     def over(self, picture: Image, snapshot: Snapshot, result: TrialResult | None = None) -> Image:
         """Picture with title, legend, numbers and state; with a result also the outcome."""
@@ -67,12 +74,11 @@ class Overlay:
             self._outcome(draw, result)
         return np.asarray(image)
 
-    def _title(self, draw: ImageDraw.ImageDraw, spec: TrialSpec) -> None:
-        name, method = spec.scenario.name, spec.method.title
-        width = int(max(font(24, bold=True).getlength(name), font(15).getlength(method))) + 28
+    def _title(self, draw: ImageDraw.ImageDraw, name: str, driver: str) -> None:
+        width = int(max(font(24, bold=True).getlength(name), font(15).getlength(driver))) + 28
         draw.rounded_rectangle((MARGIN, MARGIN, MARGIN + width, MARGIN + 66), 8, fill=_background())
         draw.text((MARGIN + 14, MARGIN + 30), name, TEXT, font(24, bold=True), "ls")
-        draw.text((MARGIN + 14, MARGIN + 53), method, SECONDARY_TEXT, font(15), "ls")
+        draw.text((MARGIN + 14, MARGIN + 53), driver, SECONDARY_TEXT, font(15), "ls")
 
     def _numbers(self, draw: ImageDraw.ImageDraw, snapshot: Snapshot) -> None:
         ahead = snapshot.cycle.cost_to_goal if snapshot.cycle else math.inf
@@ -80,11 +86,11 @@ class Overlay:
         numbers = (
             ("time", f"{snapshot.time:.1f}", "s"),
             ("speed", f"{round(snapshot.speed, 2) + 0.0:.2f}", "m/s"),
-            ("plan to goal", f"{left:.1f}" if math.isfinite(ahead) else "–", "s" if math.isfinite(ahead) else ""),
+            (PLAN_TO_GOAL, f"{left:.1f}" if math.isfinite(ahead) else "–", "s" if math.isfinite(ahead) else ""),
             ("clearance", f"{100 * max(snapshot.clearance, 0.0):.0f}", "cm"),
         )
-        foot = self._height - BAND
-        for column, (name, value, unit) in enumerate(numbers):
+        foot, shown = self._height - BAND, [each for each in numbers if self._knows_plans or each[0] != PLAN_TO_GOAL]
+        for column, (name, value, unit) in enumerate(shown):
             x = MARGIN + 4 + COLUMN * column
             draw.text((x, foot + 27), name, SECONDARY_TEXT, font(14), "ls")
             draw.text((x, foot + 62), value, TEXT, font(28, bold=True), "ls")
@@ -125,11 +131,9 @@ def _background() -> tuple[int, int, int, int]:
     return red, green, blue, opacity
 
 
-def draw_legend(
-    draw: ImageDraw.ImageDraw, right: int, top: int, top_speed: float, plate: tuple[int, int, int, int]
-) -> None:
-    """A plate with one row for each kind of line; its right and upper edge are given, px, and the top speed, m/s."""
-    rows: list[tuple[str, Sample]] = [
+def legend_rows(top_speed: float) -> list[LegendRow]:
+    """Names of the kinds of lines, each with how to draw a sample; that of the driven path, by speed (m/s), is last."""
+    return [
         ("plan", lambda d, x, y: d.line((x, y, x + SAMPLE, y), PLAN, 4)),
         ("predicted", lambda d, x, y: d.rectangle((x, y - 5, x + SAMPLE, y + 5), PREDICTED)),
         ("contingency", _dashes),
@@ -140,6 +144,12 @@ def draw_legend(
         ),
         (f"driven, 0 to {top_speed:.2g} m/s", _speeds),
     ]
+
+
+def draw_legend(
+    draw: ImageDraw.ImageDraw, right: int, top: int, rows: Sequence[LegendRow], plate: tuple[int, int, int, int]
+) -> None:
+    """A plate with the rows; its right and upper edge are given, px."""
     width = SAMPLE + 34 + int(max(font(TYPE).getlength(name) for name, _ in rows))
     left = right - width
     draw.rounded_rectangle((left, top, right, top + ROW * len(rows) + 14), 8, fill=plate)

@@ -1,4 +1,4 @@
-"""Recorders of a trial as it is driven: a film, single pictures, or a window in real time.
+"""Recorders of a trial: a film, drawn when the trial is over, single pictures, or a window in real time.
 
 The window is MuJoCo's passive viewer with the drawings of a video.
 """
@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import importlib
 import io
+import itertools
 import math
 import threading
 import time as clock
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -35,6 +37,8 @@ from kraft.video.renderer import AHEAD, DISTANCE, MIN_ELEVATION, FilmWriter, Ima
 SIZE: Final = (1280, 720)
 HOLD: Final = 1.5
 """Duration for which the last picture is shown, s."""
+REPORTED: Final = 5.0
+"""Time between two messages while a film is drawn, s."""
 
 
 class VideoRecorder:
@@ -44,11 +48,14 @@ class VideoRecorder:
             film.finish(run_trial(spec, film.on_cycle, film.on_step, keep_trees=True))
 
     A second of the film is a second of the trial; `FORMATS` has its formats by the suffix of the path.
-    Without `finish`, as when the trial is interrupted or fails, no file is left.
+    All is drawn by `finish`, so that a vehicle that drives by the clock is not delayed; without it, as when the trial
+    is interrupted or fails, no file is left.
     """
 
-    def __init__(self, path: Path, spec: TrialSpec) -> None:
+    def __init__(self, path: Path, spec: TrialSpec, driver: str | None = None) -> None:
         """Check that a video can be made.
+
+        `driver` names another program that drives, of which neither plans nor estimates are drawn.
 
         Raises:
             InputError: if the suffix is neither .mp4 nor .webp, or nothing can be written there.
@@ -57,10 +64,10 @@ class VideoRecorder:
         check_video(path)
         self._spec, self._map_width = spec, map_width(spec.scenario.bounds)
         self._gl: Any = offscreen_context(*SIZE)
-        self._snapshots = SnapshotRecorder(spec)
-        self._overlay = Overlay(spec, SIZE, self._map_width)
-        self._renderer: SceneRenderer | None = None
+        self._snapshots = SnapshotRecorder(spec, external=driver is not None)
+        self._overlay = Overlay(spec, SIZE, self._map_width, driver)
         self._world: TrueWorld | None = None
+        self._frames: list[Snapshot] = []
         self._file = FilmWriter(path, SIZE)
 
     def __enter__(self) -> Self:
@@ -70,9 +77,6 @@ class VideoRecorder:
         try:
             self._file.discard()
         finally:
-            self._gl.make_current()
-            if self._renderer is not None:
-                self._renderer.close()
             self._gl.free()
 
     def on_cycle(self, cycle: Cycle) -> None:
@@ -80,38 +84,46 @@ class VideoRecorder:
         self._snapshots.on_cycle(cycle)
 
     def on_step(self, world: TrueWorld, step: Step) -> None:
-        """For `run_trial`; adds a picture of the world if a frame is due."""
-        self._gl.make_current()  # a camera that renders has its own context
-        renderer = self._begun(world)
+        """For `run_trial`; keeps what the frames that are due show."""
+        self._world = world
         snapshot = self._snapshots.on_step(world, step)
-        due = round(world.time * self._file.fps) + 1 - self._file.frames
-        if due > 0:
-            picture = self._overlay.over(renderer.picture(snapshot), snapshot)
-            for _ in range(due):
-                self._file.add(picture)
+        due = round(world.time * self._file.fps) + 1 - len(self._frames)
+        self._frames += [snapshot] * due
 
-    def finish(self, result: TrialResult) -> None:
-        """Add the outcome, and move the file to its place.
+    def finish(self, result: TrialResult, report: Callable[[str], None] = lambda _: None) -> None:
+        """Draw the film with the outcome at its end, and move the file to its place; `report` receives the progress.
 
         Raises:
             InputError: if the file cannot be written.
         """
-        self._gl.make_current()
         spec = self._spec
         # a trial that starts in the goal has no tick
         world = self._world or world_of(spec.scenario, spec.vehicle, spec.seed)
-        renderer = self._begun(world)
-        snapshot = self._snapshots.now(world)
-        picture = self._overlay.over(renderer.picture(snapshot), snapshot, result)
+        last = self._snapshots.now(world)
+        self._gl.make_current()  # a camera that renders has its own context
+        renderer = SceneRenderer(world, spec, SIZE, self._map_width, BAND)
+        try:
+            self._draw(renderer, report)
+            picture = self._overlay.over(renderer.picture(last), last, result)
+        finally:
+            renderer.close()
         for _ in range(round(HOLD * self._file.fps)):
             self._file.add(picture)
         self._file.finish()
 
-    def _begun(self, world: TrueWorld) -> SceneRenderer:
-        """Renderer of the world, made when it is first needed."""
-        if self._renderer is None:
-            self._renderer, self._world = SceneRenderer(world, self._spec, SIZE, self._map_width, BAND), world
-        return self._renderer
+    def _draw(self, renderer: SceneRenderer, report: Callable[[str], None]) -> None:
+        """Draw the frames of the drive."""
+        seconds = len(self._frames) / self._file.fps
+        report(f"drawing the film of {seconds:.1f} s ...")
+        told = clock.monotonic()
+        for _, equal in itertools.groupby(self._frames, key=id):
+            frames = list(equal)
+            picture = self._overlay.over(renderer.picture(frames[0]), frames[0])
+            for _ in frames:
+                self._file.add(picture)
+            if clock.monotonic() > told + REPORTED:
+                told = clock.monotonic()
+                report(f"  {self._file.frames / self._file.fps:.1f} of {seconds:.1f} s are drawn")
 
 
 def map_width(bounds: Bounds) -> int:
@@ -172,14 +184,16 @@ class LiveView:
     does not affect the trial; if the window is closed, the trial continues at full speed.
     """
 
-    def __init__(self, spec: TrialSpec) -> None:
+    def __init__(self, spec: TrialSpec, *, external: bool = False) -> None:
         """Check that there is a screen.
+
+        With `external` another program drives, of which neither plans nor estimates are drawn.
 
         Raises:
             MissingDependency: if a window cannot be opened.
         """
         check_view()
-        self._spec, self._snapshots = spec, SnapshotRecorder(spec)
+        self._spec, self._snapshots = spec, SnapshotRecorder(spec, external=external)
         self._window: Any = None
         self._data: Any = None
         self._pen: Pen | None = None
@@ -213,8 +227,8 @@ class LiveView:
                 self._show(world, snapshot)
                 self._shown = clock.monotonic()
 
-    def finish(self, result: TrialResult) -> None:
-        """Show the outcome for `WINDOW_HOLD` s."""
+    def finish(self, result: TrialResult, report: Callable[[str], None] = lambda _: None) -> None:
+        """Show the outcome for `WINDOW_HOLD` s; nothing is reported."""
         if self._window is not None and self._window.is_running():
             self._window.set_texts(_text(outcome_caption(result)[0], ""))
             self._window.sync()

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from kraft.driving.messages import Cycle
 from kraft.files import Replacement, unwritable
 from kraft.scenario import Bounds
-from kraft.simulation.floor_frame import Surface
+from kraft.simulation.floor_frame import FloorFrame, Surface
 from kraft.simulation.true_world import TrueWorld
 from kraft.trial.result import TrialSpec
 from kraft.video.drawing import Pen, Snapshot, draw_collision, draw_cycle, draw_snapshot
@@ -59,11 +59,11 @@ SOLID: Final = np.array([1, 1, 0, 0, 0, 0], np.uint8)
 class View:
     """One scene with one camera in one part of the picture."""
 
-    def __init__(self, world: TrueWorld, pen_of: Callable[[Any], Pen], part: tuple[int, int, int, int]) -> None:
-        """`part` is left, bottom, width and height, px."""
-        self.scene: Any = mujoco.MjvScene(world.model, GEOMS_MAX)
+    def __init__(self, model: Any, pen_of: Callable[[Any], Pen], part: tuple[int, int, int, int]) -> None:
+        """`model` is MuJoCo's, `part` left, bottom, width and height, px."""
+        self.scene: Any = mujoco.MjvScene(model, GEOMS_MAX)
         self.pen = pen_of(self.scene)
-        self._world, self._rectangle = world, mujoco.MjrRect(*part)
+        self._model, self._rectangle = model, mujoco.MjrRect(*part)
         self._options = mujoco.MjvOption()
         self._options.geomgroup[3] = 0  # what only touches
         self._static_geoms = 0
@@ -74,30 +74,28 @@ class View:
         draw(self.pen)
         self._static_geoms = self.scene.ngeom
 
-    def render(self, context: Any, aim: Aim, draw: Callable[[Pen], None]) -> None:
-        """Render the static content, the world as it is, and what `draw` adds.
+    def render(self, context: Any, data: Any, aim: Aim, centre: Floats, draw: Callable[[Pen], None]) -> None:
+        """Render the static content, the world of MuJoCo's `data`, and what `draw` adds; shadows are around `centre`.
 
-        Without a GPU multisampling would double the time; `kraft.video.renderer` takes its place.
+        Without a GPU multisampling would double the time; `smoothed` takes its place.
         """
-        scene, world = self.scene, self._world
+        scene, model = self.scene, self._model
         scene.ngeom = self._static_geoms
         aim.apply(scene, NEAR, FAR)
-        mujoco.mjv_addGeoms(world.model, world.data, self._options, mujoco.MjvPerturb(), EVERYTHING, scene)
+        mujoco.mjv_addGeoms(model, data, self._options, mujoco.MjvPerturb(), EVERYTHING, scene)
         draw(self.pen)
-        mujoco.mjv_makeLights(world.model, world.data, scene)
+        mujoco.mjv_makeLights(model, data, scene)
         for light in scene.lights[: scene.nlight]:
             if light.castshadow and light.type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
-                light.pos = self._view_centre() - LAMP * light.dir
+                light.pos = centre - LAMP * light.dir
         mujoco.mjr_render(self._rectangle, scene, context)
-
-    def _view_centre(self) -> Floats:
-        """Centre of the view from behind, in the world's frame."""
-        x, y, theta = map(float, self._world.pose)
-        return self._world.frame.to_world(np.array([x + math.cos(theta), y + math.sin(theta), 0.0]))
 
 
 class SceneRenderer:
-    """Both views of a trial.  Needs a current graphics context; `close` frees its buffers."""
+    """Both views of a trial.  Needs a current graphics context; `close` frees its buffers.
+
+    It draws snapshots, each with the configuration of its time, so that a drive can be drawn when it is over.
+    """
 
     def __init__(self, world: TrueWorld, spec: TrialSpec, size: tuple[int, int], map_width: int, foot: int) -> None:
         """`size` is the picture's width and height, px.
@@ -105,7 +103,8 @@ class SceneRenderer:
         The map takes `map_width` of it at the right; beside it `foot` stays free below the view from behind.
         """
         width, height = size
-        self._world, self._spec, self._cycle = world, spec, -1
+        self._spec, self._cycle, self._frame = spec, -1, world.frame
+        self._model, self._data = world.model, mujoco.MjData(world.model)
         self._image: Image = np.empty((height, width, 3), np.uint8)
         self._whole = mujoco.MjrRect(0, 0, width, height)
         visual = world.model.vis
@@ -116,26 +115,32 @@ class SceneRenderer:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         surface = Surface.of(spec.scenario, world.frame)
         left = width - map_width
-        self._chase = View(world, lambda scene: Pen(scene, surface), (0, foot, left, height - foot))
-        self._map = View(world, lambda scene: Pen(scene, surface, MAP_STROKES), (left, 0, map_width, height))
+        self._chase = View(self._model, lambda scene: Pen(scene, surface), (0, foot, left, height - foot))
+        self._map = View(self._model, lambda scene: Pen(scene, surface, MAP_STROKES), (left, 0, map_width, height))
         self._map.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
         for view in (self._chase, self._map):
             view.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
-        self._camera, self._above = ChaseCamera(), map_aim(world, spec.scenario.bounds, map_width / height)
+        self._camera = ChaseCamera(self._model, self._frame)
+        self._above = map_aim(self._frame, spec.scenario.bounds, map_width / height)
 
     def picture(self, snapshot: Snapshot) -> Image:
-        """The picture of the world as it is: uint8 (height, width, 3)."""
+        """The picture at a time of the trial: uint8 (height, width, 3); calls have to be in the order of time."""
         if snapshot.cycle is not None and snapshot.cycle.number != self._cycle:
             self._begin_cycle(snapshot.cycle)
-        for view, aim in ((self._chase, self._camera.aim(self._world)), (self._map, self._above)):
-            view.render(self._context, aim, lambda pen: self._draw(pen, snapshot))
+        self._data.qpos[:] = snapshot.configuration
+        mujoco.mj_forward(self._model, self._data)
+        x, y, theta = snapshot.pose.tolist()
+        centre = self._frame.to_world(np.array([x + math.cos(theta), y + math.sin(theta), 0.0]))
+        aim = self._camera.aim(self._data, snapshot.time, snapshot.pose)
+        for view, camera in ((self._chase, aim), (self._map, self._above)):
+            view.render(self._context, self._data, camera, centre, lambda pen: self._draw(pen, snapshot))
         mujoco.mjr_readPixels(self._image, None, self._whole, self._context)
         return smoothed(np.ascontiguousarray(self._image[::-1]))
 
     def _draw(self, pen: Pen, snapshot: Snapshot) -> None:
         draw_snapshot(pen, snapshot, self._spec.vehicle)
-        if self._world.collision is not None:
-            draw_collision(pen, self._world.collision.point)
+        if snapshot.contact is not None:
+            draw_collision(pen, snapshot.contact)
 
     def close(self) -> None:
         """Free buffers and textures."""
@@ -171,19 +176,21 @@ class Aim:
 class ChaseCamera:
     """Behind and above the car; turns smoothly, and rises where an obstacle would hide the car."""
 
-    def __init__(self) -> None:
+    def __init__(self, model: Any, frame: FloorFrame) -> None:
+        """`model` is MuJoCo's of the world, `frame` that of its floor."""
+        self._model, self._frame = model, frame
         self._time, self._dt = -math.inf, math.inf
         self._heading = self._rate = 0.0
         self._elevation = MIN_ELEVATION
 
-    def aim(self, world: TrueWorld) -> Aim:
-        """Aim at the present time; calls have to be in the order of time."""
-        x, y, theta = map(float, world.pose)
-        self._turn(world.time, theta)
-        self._rise(self._clear_elevation(world, x, y))
+    def aim(self, data: Any, time: float, pose: Floats) -> Aim:
+        """Aim at a car with a pose (3,) in the world of MuJoCo's `data`; calls have to be in the order of time."""
+        x, y, theta = pose.tolist()
+        self._turn(time, theta)
+        self._rise(self._clear_elevation(data, x, y))
         target, offset = self._place(x, y, self._elevation)
-        position = world.frame.to_world(target + offset)
-        return Aim(position, *_level_axes(world.frame.rotation @ -offset), math.tan(FIELD_OF_VIEW / 2), True)
+        position = self._frame.to_world(target + offset)
+        return Aim(position, *_level_axes(self._frame.rotation @ -offset), math.tan(FIELD_OF_VIEW / 2), True)
 
     def _place(self, x: float, y: float, elevation: float) -> tuple[Floats, Floats]:
         """Target of the camera, and position of the camera relative to it, in the floor's frame, m."""
@@ -208,14 +215,14 @@ class ChaseCamera:
         share = 1.0 - math.exp(-self._dt / SETTLING)
         self._elevation = max(elevation, self._elevation + (elevation - self._elevation) * share)
 
-    def _clear_elevation(self, world: TrueWorld, x: float, y: float) -> float:
+    def _clear_elevation(self, data: Any, x: float, y: float) -> float:
         """Lowest elevation from which nothing hides the roof."""
         roof = np.array([x, y, ROOF])
-        start, hit = world.frame.to_world(roof), np.zeros(1, np.int32)
+        start, hit = self._frame.to_world(roof), np.zeros(1, np.int32)
         for elevation in np.arange(MIN_ELEVATION, MAX_ELEVATION, ELEVATION_STEP):
             target, offset = self._place(x, y, float(elevation))
-            sight = world.frame.rotation @ (target + offset - roof)
-            distance = mujoco.mj_ray(world.model, world.data, start, sight, SOLID, True, -1, hit)
+            sight = self._frame.rotation @ (target + offset - roof)
+            distance = mujoco.mj_ray(self._model, data, start, sight, SOLID, True, -1, hit)
             if distance < 0.0 or distance > 1.0:  # in lengths of the sight
                 return float(elevation)
         return MAX_ELEVATION
@@ -229,7 +236,7 @@ def _level_axes(sight: Floats) -> tuple[Floats, Floats]:
     return forward, np.cross(right, forward)
 
 
-def map_aim(world: TrueWorld, bounds: Bounds, aspect: float) -> Aim:
+def map_aim(frame: FloorFrame, bounds: Bounds, aspect: float) -> Aim:
     """From above, square to the floor, without perspective; `aspect` is the picture's width over its height.
 
     +y points up in the picture, or +x if the scene is wider than high.
@@ -238,8 +245,8 @@ def map_aim(world: TrueWorld, bounds: Bounds, aspect: float) -> Aim:
     wide = size[0] > size[1]
     across, along = size[::-1] if wide else size
     half = 0.5 * max(along, across / aspect) + 0.12
-    rotation = world.frame.rotation
-    centre = world.frame.to_world(np.array([sum(bounds.x) / 2, sum(bounds.y) / 2, 0.0]))
+    rotation = frame.rotation
+    centre = frame.to_world(np.array([sum(bounds.x) / 2, sum(bounds.y) / 2, 0.0]))
     up = rotation[:, 0] if wide else rotation[:, 1]
     return Aim(centre + 10.0 * rotation[:, 2], -rotation[:, 2], up, half, False)
 

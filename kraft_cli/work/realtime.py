@@ -34,7 +34,7 @@ ROBOT: Final = "sim"
 OPENING_TIME: Final = 120.0
 """Time to wait until the simulated robot is there, s."""
 ENDING_TIME: Final = 30.0
-"""Time after the drive for the simulated robot to end and to finish a film, s."""
+"""Time after the result, or after a defect, for the process of the simulated robot to end, s."""
 
 
 @dataclass(frozen=True)
@@ -73,14 +73,14 @@ def run_in_real_time(
             request.scenario, robot, request.method, request.vehicle, request.seed, request.settings, request.out,
             outputs.bag,
         )  # fmt: skip
-        robot = _for_vehicle(robot, _load(request, asked), report)
+        files = _load(request, asked)
+        robot = _for_vehicle(robot, files, report)
         asked = replace(asked, robot=robot)
-        if outputs.video is not None:
-            report("warning: the film is drawn while the vehicle drives and takes processor time from it")
         simulated = WorldRequest(
-            request.scenario, robot, request.vehicle, request.seed, request.settings, 1.0, outputs.video, outputs.view
-        )
-        with _world(simulated) as ended:
+            request.scenario, robot, request.vehicle, request.seed, request.settings, 1.0, outputs.video, outputs.view,
+            driver=f"{files.method.title}, on the wall clock",
+        )  # fmt: skip
+        with _world(simulated, report) as ended:
             driven = drive_robot(asked, report, problem, detail)
             return RealtimeRun(request, driven, ended())
 
@@ -122,8 +122,11 @@ def _for_vehicle(robot: Robot, files: DriveFiles, report: Callable[[str], None])
 
 
 @contextmanager
-def _world(request: WorldRequest) -> Iterator[Callable[[], WorldResult]]:
-    """The simulated robot in a process of its own; the function ends it and returns what was true."""
+def _world(request: WorldRequest, report: Callable[[str], None]) -> Iterator[Callable[[], WorldResult]]:
+    """The simulated robot in a process of its own; the function ends it and returns what was true.
+
+    `report` receives the progress of its film.
+    """
     context = process_context()
     here, there = context.Pipe()
     process = context.Process(target=_simulate, args=(request, there, here), name="kraft world", daemon=True)
@@ -137,7 +140,9 @@ def _world(request: WorldRequest) -> Iterator[Callable[[], WorldResult]]:
         def ended() -> WorldResult:
             with contextlib.suppress(BrokenPipeError):  # a collision has ended it before
                 here.send("the drive is over")
-            result: WorldResult = _received(here)
+            while isinstance(message := _received(here), str):
+                report(message)
+            result: WorldResult = message
             return result
 
         yield ended
@@ -174,7 +179,7 @@ def _simulate(request: WorldRequest, connection: Connection, other: Connection) 
 
     message: WorldResult | Exception
     try:
-        message = simulate(request, discard_message, opened)
+        message = simulate(request, discard_message, opened, on_drawing=connection.send)
     except Exception as error:  # the other process raises it
         message = error
     with contextlib.suppress(BrokenPipeError):  # the other process has ended

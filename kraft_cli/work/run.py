@@ -99,7 +99,7 @@ def run_scenario(
     spec = TrialSpec(cell.scenario, cell.method, cell.vehicle, request.seed)
     with TrialOutputs(request.outputs, spec, on_cycle) as outputs:
         result = run_trial(spec, outputs.on_cycle, outputs.on_step, keep_trees=outputs.keep_trees)
-        outputs.finish(result)
+        outputs.finish(result, report)
     timer.report(f"{result.time:.2f} s driven" + (", drawn" if request.outputs != NO_OUTPUT else ""))
     run = Run(request, spec, cell.entry.settings, result, warnings)
     if request.out is not None:

@@ -63,9 +63,14 @@ class TrialOutputs:
     """Callbacks of `run_trial` that make the outputs; at its exit windows close and unfinished files are removed."""
 
     def __init__(
-        self, options: OutputOptions, spec: TrialSpec, on_cycle: Callable[[Cycle], None] | None = None
+        self,
+        options: OutputOptions,
+        spec: TrialSpec,
+        on_cycle: Callable[[Cycle], None] | None = None,
+        driver: str | None = None,
     ) -> None:
-        self._options, self._spec, self._on_cycle = options, spec, on_cycle
+        """`driver` names another program that drives, of which neither plans nor estimates are drawn."""
+        self._options, self._spec, self._on_cycle, self._driver = options, spec, on_cycle, driver
         self._stack = ExitStack()
         self._recorders: list[VideoRecorder | LiveView] = []
         self._world: TrueWorld | None = None
@@ -75,11 +80,13 @@ class TrialOutputs:
             if self._options.video is not None:
                 from kraft.video.recorder import VideoRecorder
 
-                self._recorders.append(stack.enter_context(VideoRecorder(self._options.video, self._spec)))
+                self._recorders.append(
+                    stack.enter_context(VideoRecorder(self._options.video, self._spec, self._driver))
+                )
             if self._options.view:
                 from kraft.video.recorder import LiveView
 
-                self._recorders.append(stack.enter_context(LiveView(self._spec)))
+                self._recorders.append(stack.enter_context(LiveView(self._spec, external=self._driver is not None)))
             self._stack = stack.pop_all()
         return self
 
@@ -104,14 +111,14 @@ class TrialOutputs:
         for recorder in self._recorders:
             recorder.on_step(world, step)
 
-    def finish(self, result: TrialResult) -> None:
-        """Finish the video, show the end in the window, write the bag, draw the picture.
+    def finish(self, result: TrialResult, report: Callable[[str], None]) -> None:
+        """Draw the video, show the end in the window, write the bag, draw the picture; `report` receives the progress.
 
         Raises:
             InputError: if a file cannot be written.
         """
         for recorder in self._recorders:
-            recorder.finish(result)
+            recorder.finish(result, report)
         if self._options.bag is not None:
             from kraft.robot.bag import write_trial
 

@@ -42,14 +42,20 @@ class WorldRequest:
     speed: float = 1.0
     video: Path | None = None
     view: bool = False
+    driver: str = "simulated robot"
+    """title of what drives, in films"""
 
 
 def simulate(
-    request: WorldRequest, report: Callable[[str], None], on_open: Callable[[RobotWorld], None] | None = None
+    request: WorldRequest,
+    report: Callable[[str], None],
+    on_open: Callable[[RobotWorld], None] | None = None,
+    on_drawing: Callable[[str], None] | None = None,
 ) -> WorldResult:
     """Load, check and simulate until the drive has ended.
 
     `on_open` is called when the topics are there; it is up to it to end the simulation, unless the car collides.
+    `on_drawing` receives the progress of a film instead of `report`.
 
     Raises:
         InputError: with the problems of the request and of the files it names.
@@ -69,12 +75,12 @@ def simulate(
         for text in (far_camera(scenario), other_robot(scenario, vehicle)):
             if text:
                 report(f"warning: {text}")
-        with TrialOutputs(options, spec) as outputs:
+        with TrialOutputs(options, spec, driver=request.driver) as outputs:
             if on_open is not None:
                 on_open(world)
             watched = outputs.on_step if request.video or request.view else None
             result = world.run(watched, speed=request.speed, stays=on_open is not None, report=report)
-            outputs.finish(_as_trial(result))
+            outputs.finish(_as_trial(result), on_drawing or report)
     finally:
         transport.close()
     return result

@@ -26,10 +26,10 @@ from kraft.trial.measures import Step
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
-from kraft.video.drawing import FAILURE
+from kraft.video.drawing import ESTIMATE, FAILURE, PLAN, Snapshot, SnapshotRecorder
 from kraft.video.overlay import font, wrapped
 from kraft.video.recorder import HOLD, SIZE, VideoRecorder, map_width, write_still
-from kraft.video.renderer import FORMATS, FilmWriter, Image, smoothed
+from kraft.video.renderer import FORMATS, FilmWriter, Image, SceneRenderer, smoothed
 
 FPS = FORMATS[".mp4"].fps
 SECONDS = 0.4
@@ -100,6 +100,54 @@ def test_the_last_picture_says_how_it_ended(video: tuple[Path, TrialResult]) -> 
     assert video[1].outcome is Outcome.TIMEOUT
     assert share_of(FAILURE, first) < 0.001
     assert share_of(FAILURE, last) > 0.02
+
+
+def test_nothing_is_drawn_while_the_vehicle_drives(
+    drawing: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[float] = []
+    picture = SceneRenderer.picture
+
+    def noted(self: SceneRenderer, snapshot: Snapshot) -> Image:
+        drawn.append(snapshot.time)
+        return picture(self, snapshot)
+
+    monkeypatch.setattr(SceneRenderer, "picture", noted)
+    with VideoRecorder(tmp_path / "short.mp4", spec := short_trial()) as recorder:
+        result = run_trial(spec, recorder.on_cycle, recorder.on_step, keep_trees=True)
+        assert drawn == []
+        messages: list[str] = []
+        recorder.finish(result, messages.append)
+    assert drawn[0] == 0.0
+    assert drawn[-1] == pytest.approx(SECONDS)
+    assert (np.diff(drawn) >= 0.0).all()
+    assert messages[0] == f"drawing the film of {SECONDS:.1f} s ..."
+
+
+def test_a_film_of_another_programs_drive_shows_neither_plans_nor_estimates(drawing: None, tmp_path: Path) -> None:
+    with VideoRecorder(tmp_path / "short.mp4", spec := short_trial(), driver="simulated robot") as recorder:
+        result = run_trial(spec, lambda _: None, recorder.on_step)
+        recorder.finish(result)
+    with VideoRecorder(tmp_path / "known.mp4", spec) as recorder:
+        recorder.finish(run_trial(spec, recorder.on_cycle, recorder.on_step))
+    unknown, known = pictures(tmp_path / "short.mp4")[6], pictures(tmp_path / "known.mp4")[6]
+    assert share_of(ESTIMATE, unknown) < 0.2 * share_of(ESTIMATE, known)
+    assert share_of(PLAN, unknown) < 0.2 * share_of(PLAN, known)
+
+
+def test_a_contact_is_drawn_from_its_time_on() -> None:
+    scenario = load_scenario("turns")
+    world = World(scenario)
+    snapshots = SnapshotRecorder(TrialSpec(scenario, load_method("kraft"), load_vehicle("mushr"), 0))
+    before = snapshots.now(world)
+    world.apply([float(name == "throttle") for name in world.controls])
+    while world.collision is None:
+        world.step(25)
+    after = snapshots.now(world)
+    assert before.contact is None
+    assert after.contact == world.collision.point
+    assert np.array_equal(after.configuration, world.data.qpos)
+    assert not np.array_equal(before.configuration, after.configuration)
 
 
 def test_a_trial_that_ends_at_its_start_is_a_film_of_its_outcome(drawing: None, tmp_path: Path) -> None:

@@ -143,7 +143,7 @@ def hidden_behind(height: float) -> Scenario:
 @pytest.mark.parametrize("height", [0.2, 0.9, 1.3])
 def test_nothing_stands_between_the_camera_and_the_car(height: float) -> None:
     world = World(hidden_behind(height))
-    aim = ChaseCamera().aim(world)
+    aim = ChaseCamera(world.model, world.frame).aim(world.data, world.time, world.pose)
     roof = np.array([*world.pose[:2], ROOF])
     sight = aim.position - roof
     hit = mujoco.mj_ray(world.model, world.data, roof, sight, SOLID, True, -1, np.zeros(1, np.int32))
@@ -153,7 +153,8 @@ def test_nothing_stands_between_the_camera_and_the_car(height: float) -> None:
 
 
 def test_the_camera_turns_smoothly_and_gets_there() -> None:
-    camera, headings = ChaseCamera(), []
+    world = World(hidden_behind(0.2))
+    camera, headings = ChaseCamera(world.model, world.frame), []
     camera._turn(0.0, 3.0)
     for k in range(1, 90):
         camera._turn(k / 30, -3.0)  # the short way, over pi
@@ -170,7 +171,7 @@ def test_the_map_shows_the_whole_scene_square_to_the_floor(turned: bool) -> None
     bounds = load_scenario("slope").bounds
     if turned:
         bounds = bounds.model_copy(update={"x": bounds.y, "y": bounds.x})
-    aim = map_aim(world, bounds, 0.4)
+    aim = map_aim(world.frame, bounds, 0.4)
     right = np.cross(aim.forward, aim.up)
     assert -aim.forward == pytest.approx(world.frame.normal)
     for x in bounds.x:
