@@ -53,16 +53,19 @@ def interrupts_between_passes() -> Iterator[Callable[[], None]]:
     """Context for compilation: signals are handled between passes of numba, by the yielded function, or at the end.
 
     It concerns the signals of `STOPPING` that have a handler in Python, such as the one that raises KeyboardInterrupt.
-    It has no effect outside the main thread, where signals are ignored, and within another such context, which then
-    handles them.
+    It has no effect outside the main thread, where signals are ignored, nor within another such context: that one goes
+    on to handle them, and its function is yielded.
     """
     before: dict[int, Handler] = {
         number: handler for number in STOPPING if callable(handler := signal.getsignal(number))
     }
-    nested = any(isinstance(getattr(handler, "__self__", None), _PendingSignal) for handler in before.values())
-    if nested or not before or threading.current_thread() is not threading.main_thread():
+    if not before or threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
+    for handler in before.values():
+        if isinstance(outer := getattr(handler, "__self__", None), _PendingSignal):
+            yield outer.handle
+            return
     pending = _PendingSignal(before)
     for number in before:
         signal.signal(number, pending.record)

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -62,43 +63,41 @@ def ensure_compiled(
     `heading`, all that goals with a heading need, that among it.  `modules` names kernels that few methods use, see
     `optional_module`.
     """
-    planner = not is_cached(vehicle)
-    maps = not planner and not _marker(MAPS).exists()  # otherwise compiled with the planner
-    identification = steps and not _is_identification_cached()
-    steps = steps and not are_steps_cached(vehicle)
-    polish = (polish or heading) and not is_polish_cached(vehicle)
-    heading = heading and not _marker(HEADING).exists()
-    missing = [f"the planner and the model of {vehicle.name}"] if planner else []
-    missing += [f"the steps of the model of {vehicle.name}"] if steps else []
-    missing += ["the identification and the pose filter"] if identification else []
-    missing += [f"the local optimisation for {vehicle.name}"] if polish else []
-    others = [name for name in modules if not is_module_cached(vehicle, name)]
-    missing += [f"{OPTIONAL[name]} for {vehicle.name}" for name in others]
-    missing += ["the planner for goals with a heading"] if heading else []
-    missing += ["the maps' kernels"] if maps else []
-    if not missing:
+    parts = _missing(vehicle, steps=steps, heading=heading, polish=polish or heading, modules=modules)
+    if not parts:
         return
     # no estimate: what else the machine does makes it three times as long
-    report(f"compiling {' and '.join(missing)} for this machine, once: this may take a minute ...")
+    report(f"compiling {', '.join(parts)} for this machine, once: this may take a minute ...")
     began = time.perf_counter()
-    if planner:
-        _exercise(vehicle)
-    with interrupts_between_passes():
-        if steps:
-            step_kernels(vehicle)
-        if identification:
-            _compile_identification(vehicle)
-            moments()
-            pose_fusion()
-        if polish:
-            polish_kernels(vehicle)
-        for name in others:
-            optional_module(vehicle, name)
-        if heading:
-            compile_for_headings()
-        if maps:
-            compile_maps()
+    for number, (name, compile_part) in enumerate(parts.items(), 1):
+        with interrupts_between_passes():
+            compile_part()
+        if number < len(parts):
+            report(f"  {number} of {len(parts)} after {time.perf_counter() - began:.0f} s: {name}")
     report(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
+
+
+def _missing(
+    vehicle: Vehicle, *, steps: bool, heading: bool, polish: bool, modules: Sequence[str]
+) -> dict[str, Callable[[], object]]:
+    """Which parts that are needed are not cached, by name, each with the function that compiles it."""
+    parts: dict[str, Callable[[], object]] = {}
+    if not is_cached(vehicle):
+        parts[f"the planner and the model of {vehicle.name}"] = partial(_exercise, vehicle)
+    elif not _marker(MAPS).exists():  # otherwise compiled with the planner
+        parts["the maps' kernels"] = compile_maps
+    if steps and not are_steps_cached(vehicle):
+        parts[f"the steps of the model of {vehicle.name}"] = partial(step_kernels, vehicle)
+    if steps and not _is_identification_cached():
+        parts["the identification and the pose filter"] = partial(_compile_identification, vehicle)
+    if polish and not is_polish_cached(vehicle):
+        parts[f"the local optimisation for {vehicle.name}"] = partial(polish_kernels, vehicle)
+    for name in modules:
+        if not is_module_cached(vehicle, name):
+            parts[f"{OPTIONAL[name]} for {vehicle.name}"] = partial(optional_module, vehicle, name)
+    if heading and not _marker(HEADING).exists():
+        parts["the planner for goals with a heading"] = compile_for_headings
+    return parts
 
 
 def _is_identification_cached() -> bool:
@@ -111,6 +110,8 @@ def _compile_identification(vehicle: Vehicle) -> None:
     from kraft.sysid.factor_graph import compile_identification
 
     compile_identification(vehicle)
+    moments()
+    pose_fusion()
 
 
 def _exercise(vehicle: Vehicle) -> None:

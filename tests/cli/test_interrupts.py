@@ -60,6 +60,10 @@ def test_an_interrupt_is_raised_when_it_is_asked_for_and_at_the_end_of_the_outer
     with pytest.raises(KeyboardInterrupt):
         nested()
     assert reached == ["after the inner block"]
+    with interrupts_between_passes(), interrupts_between_passes() as check:
+        interrupt()
+        with pytest.raises(KeyboardInterrupt):
+            check()
 
 
 def test_interrupts_mean_what_they_did_before_afterwards() -> None:

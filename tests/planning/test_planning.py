@@ -406,3 +406,17 @@ def test_what_identification_needs_is_compiled_before_a_vehicle_drives(monkeypat
     ensure_compiled(vehicle, messages.append, steps=True)
     assert "the identification" in messages[0]
     assert compiled == [vehicle]
+    assert len(messages) == 2
+
+
+def test_each_part_that_is_compiled_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle, messages, compiled = load_vehicle("mushr"), list[str](), list[str]()
+    monkeypatch.setattr("kraft.planning.compilation.is_polish_cached", lambda _: False)
+    monkeypatch.setattr("kraft.planning.compilation.polish_kernels", lambda _: compiled.append("polish"))
+    monkeypatch.setattr("kraft.planning.compilation.is_module_cached", lambda *_: False)
+    monkeypatch.setattr("kraft.planning.compilation.optional_module", lambda _, name: compiled.append(name))
+    ensure_compiled(vehicle, messages.append, polish=True, modules=("rollouts", "sst"))
+    assert compiled == ["polish", "rollouts", "sst"]
+    assert messages[1].startswith("  1 of 3 after 0 s: the local optimisation for mushr")
+    assert messages[2].startswith("  2 of 3 after 0 s: the rollouts for mushr")
+    assert messages[3].startswith("compiled in 0 s")
