@@ -321,10 +321,11 @@ def _sequential(ca: Any, program: _Program, iterations: int) -> Solver:
     """
     x, p, low, high = program.variables, program.given, program.low, program.high
     (cost,) = ca.substitute([program.cost], [x], [program.driven])
-    driving = ca.Function("drive", [x, p], [program.driven, cost])
+    shared = {"cse": True}  # what occurs several times is computed once, with the same result
+    driving = ca.Function("drive", [x, p], [program.driven, cost], shared)
     curvature = ca.DM(ca.hessian(program.curved, x)[0])
     slopes = [program.rows, ca.gradient(program.cost, x), ca.jacobian(program.rows, x)]
-    linear = ca.Function("linear", [x, p], slopes)
+    linear = ca.Function("linear", [x, p], slopes, shared)
     matrices = {"h": curvature.sparsity(), "a": linear.sparsity_out(2)}
     quadratic = ca.conic("quadratic", "piqp", matrices, {"error_on_fail": False})
     now, given = ca.MX.sym("x", x.numel()), ca.MX.sym("p", p.numel())
