@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kraft.driving.control import Controller, compiled_law
+from kraft.driving.control import Controller, compiled_law, tracking_law
 from kraft.driving.messages import Commitment, Estimate, PredictedMotion, Reference
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels.tracking import Ticks
@@ -56,9 +56,9 @@ class ClosedLoopPredictor:
         ticks = int(np.searchsorted(times, latest, side="right"))
         during = self._ticks(times[:ticks], np.full(ticks, self.period), times[:ticks] - cycle_start)
         start = np.asarray(state, dtype=float)
-        controller = copy.deepcopy(self.controller)
+        law = copy.deepcopy(tracking_law(self.controller, contingency))  # a predictive controller has more to copy
         with self.dirt.with_clearance_until(float(times[-1]) - cycle_start):
-            states, _, worst = self._drive(controller, contingency, start, during, contingency.end - 1e-9)
+            states, _, worst = self._drive(law, contingency, start, during, contingency.end - 1e-9)
         if len(states) > ticks and not self.dirt.safety.is_resting(self.dirt.vehicle, states[-1]):
             worst = -1.0
         least = least_slack(self.dirt, states, times[: len(states)] - cycle_start)

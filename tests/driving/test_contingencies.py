@@ -11,7 +11,8 @@ from support.replanner import FARSIGHTED, replanner, start
 
 from kraft.driving import contingencies
 from kraft.driving.contingencies import Begin, ContingencyRanking, TrackedContingency
-from kraft.driving.control import Controller, KinodynamicController
+from kraft.driving.control import Controller, KinodynamicController, make_controller
+from kraft.driving.control_settings import Dwa
 from kraft.driving.messages import Commitment, ContingencyOrigin, Estimate, Reference, ReferenceKind
 from kraft.driving.prediction import required_clearance
 from kraft.driving.references import contingency_reference, plan_reference
@@ -96,6 +97,18 @@ def test_the_compiled_closed_loop_is_that_of_the_controller_tick_by_tick(state: 
         assert one.slack == other.slack
     one, other = (each.until_rest(state, 2.3, contingency, 2.0) for each in (predict, slowly))
     assert np.array_equal(one.times, other.times)
+    assert np.array_equal(one.states, other.states)
+    assert one.slack == other.slack
+
+
+def test_the_contingency_of_a_predictive_controller_is_predicted_as_it_tracks_it_tick_by_tick() -> None:
+    found, state = subject(), STATES[0]
+    assert found._model is not None
+    controller = make_controller(Dwa(kind="dwa"), found._model, found.dirt)
+    predict = replace(found._predict, controller=controller)
+    contingency = next(ranking(found)._immediate(Begin(state, 2.0, 2.0), None)).reference()
+    one = predict.until_rest(state, 2.0, contingency, 2.0)
+    other = replace(predict, controller=Uncompiled(controller)).until_rest(state, 2.0, contingency, 2.0)
     assert np.array_equal(one.states, other.states)
     assert one.slack == other.slack
 

@@ -42,6 +42,7 @@ __all__ = [
     "needs_steps",
     "set_map",
     "settings_for",
+    "tracking_law",
 ]
 
 
@@ -131,13 +132,19 @@ def set_map(controller: Controller, dirt: DirtSolver) -> None:
         controller.set_map(dirt)
 
 
-def compiled_law(controller: Controller, reference: Reference) -> KinodynamicController | None:
-    """What tracks a reference for a controller, if that is compiled."""
+def tracking_law(controller: Controller, reference: Reference) -> Controller:
+    """What tracks a reference for a controller: itself, or the law that a predictive one has for contingencies."""
     if reference.kind is ReferenceKind.CONTINGENCY and isinstance(
         controller, MppiController | DwaController | NmpcController
     ):
-        controller = controller.law
-    return controller if isinstance(controller, KinodynamicController) else None
+        return controller.law
+    return controller
+
+
+def compiled_law(controller: Controller, reference: Reference) -> KinodynamicController | None:
+    """What tracks a reference for a controller, if that is compiled."""
+    law = tracking_law(controller, reference)
+    return law if isinstance(law, KinodynamicController) else None
 
 
 def _law(settings: Geometric | Kinodynamic, model: CarModel) -> Controller:
