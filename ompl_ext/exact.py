@@ -83,6 +83,11 @@ class ExactClearance:
             least = min(least, self.distance(*poses[k]))
         return least
 
+    def first_contact(self, poses: Matrix) -> int | None:
+        """Number of the first pose (n, 3) whose `distance` is 0, None without one: FCL is asked where it can be."""
+        possible = np.flatnonzero(self.lower_bounds(poses) <= SPREAD)
+        return next((k for k in possible.tolist() if self.distance(*poses[k]) <= 0.0), None)
+
     def _near(self, x: float, y: float, theta: float) -> tuple[fcl.CollisionObject, list[tuple[float, int]]]:
         """FCL's body at a pose, and bound and number of the pieces that may be nearest to it."""
         c, s = math.cos(theta), math.sin(theta)

@@ -120,10 +120,10 @@ class ContingencyRanking:
         if predicted.slack >= 0.0:
             return TrackedContingency(reference, origin, predicted)
         states, vehicle = predicted.states, self._dirt.vehicle
-        hits = np.flatnonzero(self._dirt.exact.distances(poses_of(states, vehicle)) <= 0.0)
-        if len(hits) == 0:
+        contact = self._dirt.exact.first_contact(poses_of(states, vehicle))
+        if contact is None:
             return TrackedContingency(reference, origin, predicted)
-        before = states[max(int(hits[0]) - 1, 0)]  # it may stand where it touches
+        before = states[max(contact - 1, 0)]  # it may stand where it touches
         return TrackedContingency(reference, origin, predicted, abs(float(before[vehicle.rest_indices[0]])))
 
     def _rounded_slacks(self, begin: Begin, motions: Sequence[_Motion]) -> list[int]:
@@ -285,7 +285,7 @@ class _PredictedManoeuvre:
         for _ in range(round(safety.horizon / safety.step)):
             samples, _slack = dirt.edge(states[-1], stop_control(vehicle, states[-1], number), safety.step)
             poses = poses_of(samples, vehicle)
-            nearest = float(dirt.exact.distances(poses).min())
+            nearest = dirt.least_distance(poses)
             if distance > 0.0 >= nearest:
                 impact_speed = abs(float(states[-1][vehicle.rest_indices[0]]))
             distance = min(distance, nearest)

@@ -81,6 +81,8 @@ def test_the_exact_clearance_is_that_of_fcl_over_every_obstacle(
     assert [exact.collides(*pose) for pose in poses] == (true == 0.0).tolist()
     assert np.all(exact.lower_bounds(poses) <= true + 1e-6)
     assert exact.least_distance(poses) == exact.distances(poses).min()
+    contacts = np.flatnonzero(exact.distances(poses) <= 0.0).tolist()
+    assert exact.first_contact(poses) == (contacts[0] if contacts else None)
 
 
 @pytest.mark.parametrize("count", [1, 15, 16, 17, 300])
