@@ -45,6 +45,8 @@ STD_FACTOR: Final = 3.0
 """Standard deviation in the file over that of the estimate ..."""
 STD_SHARE_MIN: Final = 0.1
 """... but at least this share of the one before: the car changes a little from day to day."""
+STD_OF_VALUE: Final = 0.02
+"""Least standard deviation in the file of a parameter of which none was stated, as a share of its value."""
 DELAY_STD_MIN: Final = 0.01
 """Least standard deviation of an identified delay in the file, s: it changes from day to day."""
 HEADER: Final = ("# Identified by kraft sysid; the record of the identification is at the end.",)
@@ -133,14 +135,14 @@ def updated_parameter(parameter: Parameter, estimate: ParameterEstimate, *, tigh
 
     The bounds remain, unless the estimate is outside them.  The standard deviation is reduced, but not to that of the
     estimate, because it is the prior of the next identification, and not below the variation from drive to drive.
-    Without `tighten` it remains.
+    Bounds that nobody stated are those of the identification.  Without `tighten` all remain.
     """
     value = float(f"{estimate.value:.{DIGITS}g}")
-    low = None if parameter.min is None else min(parameter.min, value)
-    high = None if parameter.max is None else max(parameter.max, value)
-    std = parameter.std
-    if tighten and std is not None and not estimate.frozen:
-        std = float(f"{max(min(std, max(STD_FACTOR * estimate.std, STD_SHARE_MIN * std)), estimate.variation):.2g}")
+    low, high, std = parameter.min, parameter.max, parameter.std
+    if tighten and not estimate.frozen:
+        low, high = estimate.min if low is None else low, estimate.max if high is None else high
+        std = float(f"{_tightened(std, estimate):.2g}")
+    low, high = None if low is None else min(low, value), None if high is None else max(high, value)
     return Parameter(
         value=value,
         unit=estimate.unit or parameter.unit,
@@ -152,6 +154,14 @@ def updated_parameter(parameter: Parameter, estimate: ParameterEstimate, *, tigh
         fixed=parameter.fixed,
         variation=float(f"{estimate.variation or parameter.variation:.2g}"),
     )
+
+
+def _tightened(std: float | None, estimate: ParameterEstimate) -> float:
+    """Standard deviation of the next prior, from that of the last one, if one was stated, and the estimate."""
+    found = STD_FACTOR * estimate.std
+    if std is None:
+        return max(found, STD_OF_VALUE * abs(estimate.value), estimate.variation)
+    return max(min(std, max(found, STD_SHARE_MIN * std)), estimate.variation)
 
 
 def _parameters(base: BaseVehicle, estimated: Mapping[str, ParameterEstimate], *, tighten: bool) -> Iterator[str]:

@@ -288,10 +288,10 @@ def _bounds_note(request: SysidRequest, base: BaseVehicle) -> tuple[str, ...]:
     names = without_bounds(base.definition)
     if not names:
         return ()
-    needed = f"; adaptive methods refuse {request.out} without them" if request.out is not None else ""
+    written = f" and written to {request.out}" if request.out is not None else ""
     return (
-        f"min, max and std of {', '.join(names)} are assumed (a tenth of the value to ten times the value; of small "
-        f"angles -1 to 1), because no vehicle file states them{needed}",
+        f"no vehicle file states min, max and std of {', '.join(names)}: bounds are assumed (a tenth of the value to "
+        f"ten times the value; of small angles -1 to 1){written}",
     )
 
 

@@ -138,11 +138,20 @@ def test_bounds_hold_the_value_and_the_prior_becomes_tighter(
     assert found.value == value
 
 
-def test_a_frozen_parameter_and_one_without_prior_stay_as_they_are() -> None:
+def test_a_frozen_parameter_stays_as_it_is() -> None:
     assert updated_parameter(PARAMETER, estimated(0.36, 0.0, frozen=True)).std == 0.03
-    bare = updated_parameter(Parameter(value=1.0, unit="m"), estimated(0.9, 0.01))
+    bare = updated_parameter(Parameter(value=1.0, unit="m"), estimated(1.0, 0.0, frozen=True))
     assert (bare.min, bare.max, bare.std) == (None, None, None)
     assert updated_parameter(PARAMETER, estimated(0.33, 0.004), tighten=False).std == 0.03
+
+
+@pytest.mark.parametrize(("std", "expected"), [(0.01, 0.03), (0.001, 0.018)])
+def test_bounds_and_a_prior_that_nobody_stated_follow_from_the_identification(std: float, expected: float) -> None:
+    estimate = estimated(0.9, std)
+    found = updated_parameter(Parameter(value=1.0, unit="m"), estimate)
+    assert (found.min, found.max, found.std) == (estimate.min, estimate.max, expected)
+    half = updated_parameter(Parameter(value=1.0, unit="m", min=0.8), estimate)
+    assert (half.min, half.max, half.std) == (0.8, max(estimate.max, 0.9), expected)
 
 
 def test_a_bundled_file_written_anew_keeps_its_head_and_its_priors() -> None:
