@@ -21,7 +21,7 @@ from kraft.driving.on_board import OnBoard
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import model_of
-from kraft.planning.workspace import start_state, workspace_of
+from kraft.planning.workspace import start_state
 from kraft.simulation.true_world import TrueWorld, world_of
 from kraft.trial.cause import Cause, CauseKind, collision_cause, timeout_cause
 from kraft.trial.closest_approach import ClosestApproach
@@ -30,7 +30,6 @@ from kraft.trial.oracle import OracleEstimator, true_model
 from kraft.trial.plant import Plant, Radio, camera_model
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.exact import ExactClearance
 
 OnCycle = Callable[[Cycle], None]
 OnStep = Callable[[TrueWorld, Step], None]
@@ -138,8 +137,7 @@ class _Trial:
         self._errors: list[tuple[Floats, Matrix]] = []  # of poses, with the covariances that the estimator stated
         once = method.planner.mode == "one-shot"
         self._limit = scenario.trial.oneshot_timeout if once else scenario.trial.timeout
-        exact = ExactClearance(workspace_of(scenario, vehicle), vehicle.footprint)
-        self.approach = ClosestApproach(exact.distance, vehicle.footprint.reach)
+        self.approach = ClosestApproach(solvers.checking.exact.distance, vehicle.footprint.reach)
 
     @property
     def outcome(self) -> Outcome | None:
