@@ -305,6 +305,41 @@ def test_the_estimate_follows_a_vehicle_that_was_moved() -> None:
     assert away[round((5.0 + MOVED_AFTER + 1.0) * RATE) :].max() < 0.12
 
 
+def turned(states: Matrix, at: float, until: float, rate: float) -> Matrix:
+    """Motion (n, nx) of a car that from `at` until `until` (s) turns otherwise than its model, by `rate` rad/s."""
+    found, heading = states.copy(), states[:, 2].copy()
+    for k in range(1, len(states)):
+        heading[k:] += rate / RATE if at <= k / RATE < until else 0.0
+        step, turn = states[k, :2] - states[k - 1, :2], heading[k - 1] - states[k - 1, 2]
+        ahead = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+        found[k, :2] = found[k - 1, :2] + ahead @ step
+    found[:, 2] = heading
+    return found
+
+
+@pytest.mark.parametrize("rate", [-20.0, 30.0, 40.0])
+def test_a_car_that_turns_otherwise_than_its_model_is_followed(rate: float) -> None:
+    """Also if its parameters count as known: a turn of the car comes little by little, errors of poses at once."""
+    states, commands = driven(exciting, 10.0, {}, 0.0)
+    states = turned(states, 5.0, 5.6, math.radians(rate))
+    known = {name: ParameterRange(r.low, r.high, 0.05 * r.std) for name, r in vehicle().ranges.items()}
+    subject = make_estimator(DEFAULT, CarModel(replace(vehicle(), ranges=known)), BEGIN)
+    assert isinstance(subject, AdaptiveEstimator)
+    errors = correlated(np.random.default_rng(3), len(states), ACCURATE, 0.0)
+    away = []
+    for k, command in enumerate(commands):
+        subject.observe(pose_at(k, states[k], errors[k]))
+        if k % 30 == 27:
+            subject.replanning_estimate(k / RATE)
+        subject.commanded(k / RATE, command)
+        belief = subject.belief
+        assert belief is not None
+        away.append(abs(math.degrees(math.remainder(belief.mean[2] - states[k, 2], math.tau))))
+    assert max(away[: round(5.0 * RATE)]) < 2.0
+    assert max(away) < 7.0
+    assert max(away[round(5.7 * RATE) :]) < 4.0
+
+
 # Bad input
 
 

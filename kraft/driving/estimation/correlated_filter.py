@@ -152,17 +152,34 @@ class CorrelatedFilter(PoseFilter):
         covariance[np.ix_(correlated, correlated)] += (self._limit**-2.0 - distance**-2.0) * unexpected
         _, cross, expected = self._expected(prior.mean, covariance)
         doubted = replace(prior, covariance=covariance, cross_covariance=cross, pose_covariance=expected)
-        return self._fused(pose, doubted, self._noise)
+        return replace(self._fused(pose, doubted, self._noise), jumped=pose.time)
+
+    def _predict(self, posterior: Posterior, time: float) -> tuple[Floats, Matrix]:
+        """Mean and covariance at `time` (s).
+
+        Errors of poses jump.  If they came little by little, the vehicle has moved otherwise than the model.  Then the
+        motion varies as much as they are large, and they do not.
+        """
+        if not posterior.drifted:
+            return super()._predict(posterior, time)
+        rate, commands = self._variance_rate.copy(), self._reckoning.commands.between(posterior.time, time)
+        error = self._sensor.spread @ posterior.mean[self._part(CORRELATED)]
+        rate[self._pose] += 2.0 * error**2 / self._process_model.times[CORRELATED]
+        return self._process_model.predicted(posterior.mean, posterior.covariance, commands, rate)
 
     def _update(self, posterior: Posterior, pose: Observation) -> Posterior:
         """Posterior after a pose; errors that the noise does not explain are believed for a while."""
         after = super()._update(posterior, pose)
+        jumped = max(posterior.jumped, after.jumped)
+        after = replace(after, jumped=jumped)
         error = after.mean[self._part(CORRELATED)]
-        if (error**2 / np.maximum(self._correlated_variance, 1e-12)).sum() <= self._limit**2:
+        usual = len(error) if posterior.drifted else self._limit**2
+        if (error**2 / np.maximum(self._correlated_variance, 1e-12)).sum() <= usual:
             return after
         since = min(posterior.doubted_since, pose.time)
         if pose.time - since < MOVED_AFTER:
-            return replace(after, doubted_since=since)
+            begun = since == pose.time and since - jumped > MOVED_AFTER
+            return replace(after, doubted_since=since, drifted=posterior.drifted or begun)
         return self._half_moved(after)
 
     def _half_moved(self, posterior: Posterior) -> Posterior:
@@ -179,7 +196,7 @@ class CorrelatedFilter(PoseFilter):
         _, after = self._gain(covariance, cross, expected + self._noise)
         mean[self._pose] += 0.5 * of_pose
         mean[correlated] += -0.5 * error
-        return Posterior(posterior.time, mean, after, posterior.observation)
+        return Posterior(posterior.time, mean, after, posterior.observation, jumped=posterior.jumped)
 
 
 def stated_spread(vehicle: Vehicle) -> Matrix:

@@ -25,6 +25,8 @@ from ompl_ext.kernels.specialise import kernels
 
 MAX_HISTORY: Final = 32
 """Number of observations that are kept to be processed again after one that arrives out of order."""
+NOTHING: Final = np.zeros(2, np.int64)
+"""An empty range of indices."""
 OUTLIERS_BEFORE_RESET: Final = 5
 """Number of consistent outliers in a row after which the filter resets: then the vehicle was moved."""
 
@@ -33,7 +35,8 @@ OUTLIERS_BEFORE_RESET: Final = 5
 class Posterior:
     """Mean (nx + 1,) and covariance after `observation`; `outliers` are the latest outliers' whitened innovations.
 
-    Since `doubted_since` (s) poses have had larger errors than the noise explains, if the filter estimates errors.
+    If the filter estimates errors of poses: since `doubted_since` (s) they have been larger than the noise explains;
+    they have come little by little if `drifted`.  `jumped` is the time of the last outlier, s.
     """
 
     time: float
@@ -42,6 +45,8 @@ class Posterior:
     observation: Observation | None = None
     outliers: tuple[Floats, ...] = ()
     doubted_since: float = math.inf
+    drifted: bool = False
+    jumped: float = -math.inf
 
 
 @dataclass(frozen=True)
@@ -90,11 +95,17 @@ class ProcessModel:
             self._moments.advance(after, *_arrays(held), self._motion, self._block)
         return after
 
-    def predicted(self, mean: Floats, covariance: Matrix, held: Held) -> tuple[Floats, Matrix]:
-        """Mean (size,) and covariance (size, size) after controls (nu,), each with its duration (s)."""
+    def predicted(
+        self, mean: Floats, covariance: Matrix, held: Held, rate: Floats | None = None
+    ) -> tuple[Floats, Matrix]:
+        """Mean (size,) and covariance (size, size) after controls (nu,), each with its duration (s).
+
+        `rate` (size,) is the variance gained in a second, instead of `variance_rate` and of what varies by its size.
+        """
         mean, covariance = mean.copy(), covariance.copy()
         if held:
-            self._moments.predict(mean, covariance, *_arrays(held), self._motion, self._block)
+            motion = self._motion if rate is None else self._motion._replace(rate=rate, varying=NOTHING)
+            self._moments.predict(mean, covariance, *_arrays(held), motion, self._block)
         return mean, covariance
 
     def rate_variance(self, state: Floats, control: Floats) -> Floats:
