@@ -142,6 +142,26 @@ def test_trials_are_filtered_and_sorted_and_the_filter_is_in_the_address(tab: Pa
     assert listed == pytest.approx(times, abs=0.006)
 
 
+def test_a_heading_of_the_overview_sorts_the_entries_below_their_totals(
+    tab: Page, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
+    found = evaluate(["turns", "boxes", "slip"], METHODS, trials=9, out=tmp_path / "out")
+    successes = {result.entry: result.success for result in found.summary.results if result.method == "kraft"}
+    ascending = sorted(successes, key=lambda entry: successes[entry])
+    assert len(set(successes.values())) == 3
+    assert ascending != list(successes) != ascending[::-1]
+    tab.goto((tmp_path / "out" / "report.html").as_uri())
+    rows = tab.locator(".overview tbody tr > th")
+    heading = tab.locator(".overview thead button:text-is('KRAFT')")
+    heading.click()
+    assert rows.all_inner_texts() == ["all entries", *ascending]
+    heading.press("Enter")
+    assert rows.all_inner_texts() == ["all entries", *ascending[::-1]]
+    tab.locator(".overview thead button:text-is('entry')").press("Enter")
+    assert rows.all_inner_texts() == ["all entries", *sorted(successes)]
+
+
 @pytest.mark.parametrize(
     ("trials", "said"),
     [(31, ["show the other one"]), (40, ["show all 10 others"]), (365, ["show 300 more of 335", "show all 35 others"])],

@@ -137,8 +137,9 @@ function writeFilters() {
 
 /* ---- tables that sort by a column, and hints at columns that do not fit ---- */
 
+/** Let the headings of a table sort the rows of each of its bodies: totals stay where they are. */
 function sortable(table) {
-  const heading = table.querySelector("thead tr"), body = table.querySelector("tbody");
+  const heading = table.querySelector("thead tr");
   [...heading.children].forEach((cell, k) => {
     const button = make("button", { type: "button", title: "sort by this column" }, ...cell.childNodes);
     cell.replaceChildren(button);
@@ -150,8 +151,9 @@ function sortable(table) {
         const found = row.children[k].dataset.value;
         return found === undefined ? row.children[k].textContent : found === "" ? null : Number(found);
       };
-      const rows = [...body.children].sort((a, b) => compared(value(a), value(b), descending ? -1 : 1));
-      body.append(...rows);
+      for (const body of table.tBodies) {
+        body.append(...[...body.rows].sort((a, b) => compared(value(a), value(b), descending ? -1 : 1)));
+      }
     };
   });
 }
