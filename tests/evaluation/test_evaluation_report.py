@@ -252,6 +252,12 @@ def test_a_map_is_drawn_as_the_cells_that_are_occupied(size: int) -> None:
     assert path.get("transform") == "translate(-1 -2) rotate(17.1887)"
 
 
+def lost(count: int) -> None:
+    """Remove the last lines of the journal."""
+    file = Path("out/trials.jsonl")
+    file.write_text("".join(file.read_text().splitlines(keepends=True)[:-count]))
+
+
 def damaged(**changes: Any) -> None:
     file = Path("out/manifest.json")
     content = {**json.loads(file.read_text()), **changes}
@@ -268,6 +274,8 @@ def damaged(**changes: Any) -> None:
         (lambda: damaged(rows=[]), ["out/manifest.json", "rows", "syntax"]),
         (lambda: Path("out/trials.jsonl").write_text("{}\n[]\n"), ["out/trials.jsonl:1:1", "", "syntax"]),
         (lambda: Path("out/summary.json").write_text("{}"), ["out/summary.json", "", "syntax"]),
+        (lambda: Path("out/trials.jsonl").unlink(), ["out/trials.jsonl", "", "mismatch"]),
+        (lambda: lost(1), ["out/trials.jsonl", "", "mismatch"]),
     ],
 )
 def test_a_damaged_folder_is_refused(spoil: Any, expected: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,7 +18,7 @@ from kraft.evaluation.manifest import MANIFEST, read_manifest, scenario_content
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import RowName, Summary, distinct_titles, recorded_wall, tabulate, wall_of
 from kraft.scenario import Scenario, Score, load_scenario
-from kraft.text import grouped, slugs
+from kraft.text import counted, grouped, slugs
 
 EXPECTED = "expected the results folder of a kraft eval"
 
@@ -248,10 +248,23 @@ def read_results(folder: Path, command_line: CommandLine | None = None) -> Resul
         raise InputError([Diagnostic(str(file), "is damaged", expected, path=where, code=Code.SYNTAX)]) from None
     trials = {(cell.name, cell.method, seed) for cell in found.rows for seed in found.seeds}
     rows = journal.read_journal(folder / journal.NAME, trials)
+    _check_complete(folder, rows, len(trials))
     wall = wall_of(_recorded_wall(folder), rows.values())
     summary = tabulate(found.names, found.seeds, rows, wall, realtime=found.realtime)
     replays = journal.Replays(folder / journal.REPLAYS)
     return Results(found, rows, summary, _unchanged(found), command_line, replays)
+
+
+def _check_complete(folder: Path, rows: Mapping[Key, TrialRow], expected: int) -> None:
+    """Check that a folder with a summary, which is written when the last trial has ended, has all trials.
+
+    Raises:
+        InputError: if it has fewer: lines of the journal were lost.
+    """
+    if len(rows) < expected and (folder / SUMMARY).exists():
+        problem = f"has {len(rows)} of {counted(expected, 'trial')}, although {SUMMARY} says that all have ended"
+        instead = "expected the lines of all trials; resuming the evaluation runs the lost ones again"
+        raise InputError.of(str(folder / journal.NAME), problem, instead, Code.MISMATCH)
 
 
 def _recorded_wall(folder: Path) -> float:
