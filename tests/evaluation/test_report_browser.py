@@ -162,6 +162,22 @@ def test_a_heading_of_the_overview_sorts_the_entries_below_their_totals(
     assert rows.all_inner_texts() == ["all entries", *sorted(successes)]
 
 
+def test_a_number_of_the_overview_is_an_underlined_link_that_takes_the_focus_to_its_trials(
+    tab: Page, driven: Driven
+) -> None:
+    tab.goto(driven.url)
+    number = tab.locator(".overview tbody.rows td a").first
+    assert number.evaluate("e => getComputedStyle(e).textDecorationLine") == "underline"
+    for _ in range(2):  # the second time the address is the same
+        tab.evaluate("scrollTo(0, 0)")
+        number.press("Enter")
+        tab.wait_for_function("() => document.activeElement.closest('#trials')")
+        assert tab.evaluate("document.getElementById('trials').getBoundingClientRect().top < innerHeight / 2")
+        tab.keyboard.press("Tab")
+        assert tab.evaluate("document.activeElement.id") == "filter-outcome"
+    assert tab.inner_text("#trials-count") == "2 trials of 4"
+
+
 @pytest.mark.parametrize(
     ("trials", "said"),
     [(31, ["show the other one"]), (40, ["show all 10 others"]), (365, ["show 300 more of 335", "show all 35 others"])],

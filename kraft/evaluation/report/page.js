@@ -118,6 +118,14 @@ function readFilters(hash) {
   say(missing.length ? `No trial here has the ${missing.join(", the ")}: the list is not filtered by it.` : "");
 }
 
+/** Scroll to the list and move the focus there, so that the keyboard and screen readers continue at it. */
+function showTrials() {
+  const heading = document.querySelector("#trials h2");
+  heading.tabIndex = -1;
+  heading.focus({ preventScroll: true });
+  document.getElementById("trials").scrollIntoView();
+}
+
 /** Show a message above the list; none if it is empty. */
 function say(text) {
   const alarm = document.getElementById("trials-alarm");
@@ -253,7 +261,7 @@ function route() {
   if (player.dialog.open) player.dialog.close();
   if (hash.startsWith("show")) {
     readFilters(hash);
-    document.getElementById("trials").scrollIntoView();
+    showTrials();
     return;
   }
   const target = document.getElementById(decoded(hash)), entry = target?.closest("details.entry");
@@ -265,6 +273,10 @@ document.querySelectorAll("table.sortable").forEach(sortable);
 narrowOverview();
 showList();
 addEventListener("hashchange", route);
+addEventListener("click", (event) => { // an address that the page has already is no change of it
+  const link = event.target.closest?.('a[href^="#show"]');
+  if (link && link.hash === location.hash) route();
+});
 addEventListener("resize", () => { narrowOverview(); showHints(); });
 addEventListener("toggle", showHints, true);
 addEventListener("beforeprint", () => { for (const each of document.querySelectorAll("details.entry")) each.open = true; });
