@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page
 from support.replays import unpacked, values_of
-from support.report_page import Driven, car, needs_chromium, open_trial, seek, shown
+from support.report_page import CHROMIUM, Driven, car, needs_chromium, open_trial, seek, shown
 
 from kraft.evaluation.journal import REPLAYS
 from kraft.evaluation.replay import packed, series
@@ -130,6 +130,24 @@ def test_a_wide_floor_plan_is_above_the_plots_and_a_tall_one_beside_them(tab: Pa
     stage, panel = tab.evaluate(boxes)
     assert panel["top"] > stage["bottom"]
     assert stage["width"] > 1000
+
+
+@pytest.mark.parametrize("width", [400, 1000])
+def test_a_replay_is_as_wide_as_the_window_and_has_the_only_scroll_bar(width: int, tab: Page, driven: Driven) -> None:
+    kind = tab.context.browser.browser_type  # type: ignore[union-attr]  (a tab has a browser)
+    shows_bars = kind.launch(executable_path=CHROMIUM, args=["--no-sandbox"], ignore_default_args=["--hide-scrollbars"])
+    page = shows_bars.new_page(viewport={"width": width, "height": 800})
+    page.goto(driven.url)
+    assert page.evaluate("document.documentElement.clientWidth") < width  # bars take room, as on a desktop
+    open_trial(page, driven.url)
+    seek(page, 99.0)
+    edges = "all => all.map(e => e.getBoundingClientRect().right)"
+    assert max(page.locator("#replay-clock, #replay-close, #replay-speed").evaluate_all(edges)) <= width - 8
+    assert page.evaluate("document.documentElement.clientWidth") == width
+    page.keyboard.press("Escape")
+    page.wait_for_selector("#replay", state="hidden")
+    assert page.evaluate("document.documentElement.clientWidth") < width
+    shows_bars.close()
 
 
 def test_the_legend_names_only_what_the_floor_plan_has(tab: Page, driven: Driven) -> None:
