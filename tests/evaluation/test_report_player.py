@@ -132,6 +132,28 @@ def test_a_wide_floor_plan_is_above_the_plots_and_a_tall_one_beside_them(tab: Pa
     assert stage["width"] > 1000
 
 
+@pytest.mark.parametrize(("plan", "least"), [("0 0 400 400", (700, 700)), ("0 0 150 400", (360, 900))])
+def test_a_floor_plan_fills_a_tall_window_in_its_own_proportions(
+    plan: str, least: tuple[int, int], tab: Page, driven: Driven
+) -> None:
+    tab.set_viewport_size({"width": 1000, "height": 1400})
+    tab.goto(driven.url)
+    tab.evaluate("plan => document.querySelector('svg.floor').setAttribute('viewBox', plan)", plan)
+    tab.evaluate("location.hash = '#trial=turns/kraft/0'")
+    tab.wait_for_selector("#plots figure")
+    drawn = tab.locator("#stage svg").bounding_box()
+    last = tab.locator("#plots figure").last.bounding_box()
+    assert drawn is not None
+    assert last is not None
+    width, height = (float(size) for size in plan.split()[2:])
+    assert drawn["width"] / drawn["height"] == pytest.approx(width / height, rel=0.02)
+    assert (drawn["width"], drawn["height"]) >= least
+    assert last["y"] + last["height"] > 1000
+    assert tab.evaluate(
+        "document.querySelector('.panel').scrollHeight <= document.querySelector('.panel').clientHeight"
+    )
+
+
 @pytest.mark.parametrize("width", [400, 1000])
 def test_a_replay_is_as_wide_as_the_window_and_has_the_only_scroll_bar(width: int, tab: Page, driven: Driven) -> None:
     kind = tab.context.browser.browser_type  # type: ignore[union-attr]  (a tab has a browser)

@@ -18,8 +18,9 @@ class Plot {
     this.element = make("figure", { "aria-label": title }, make("figcaption", {}, `${title} `, this.value), this.svg);
   }
 
-  render(width) {
-    const height = 88, left = 44, right = 16, top = 6, bottom = 20, floor = height - 14; // px; the words of the axis are below the floor
+  /** Draw the plot in a width and a height in pixels. */
+  render(width, height) {
+    const left = 44, right = 16, top = 6, bottom = 20, floor = height - 14; // px; the words of the axis are below the floor
     this.x = (time) => left + ((width - left - right) * time) / this.drive.end;
     this.timeAt = (x) => Math.min(this.drive.end, Math.max(0, ((x - left) / (width - left - right)) * this.drive.end));
     const y = (value) => height - bottom - ((height - top - bottom) * (value - this.low)) / (this.high - this.low);

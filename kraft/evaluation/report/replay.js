@@ -3,6 +3,9 @@
 
 const SVG = "http://www.w3.org/2000/svg";
 const TRAIL = 1.0; // time for which observations stay visible, s
+const LEGEND = 204, GAP = 24; // widths of the legend beside the floor plan and between plan and plots, px
+const ABOVE = 0.6; // share of the height that a floor plan above the plots has
+const LOWEST = 88, HIGHEST = 180; // heights of a plot, px
 
 /** Make an SVG element; `attributes` are set as they are. */
 function draw(tag, attributes = {}, ...children) {
@@ -245,7 +248,7 @@ class Player {
     for (const box of this.dialog.querySelectorAll("input[data-layer]")) {
       box.onchange = () => this.dialog.classList.toggle(`without-${box.dataset.layer}`, !box.checked);
     }
-    addEventListener("resize", () => { if (this.drive) this.renderPlots(); });
+    addEventListener("resize", () => { if (this.drive) this.fit(); });
   }
 
   onKey(event, onMove) {
@@ -310,14 +313,13 @@ class Player {
       plot.svg.onpointermove = (event) => { if (event.buttons) this.seek(this.timeOf(plot, event)); };
     }
     this.time.max = drive.end.toFixed(2);
-    this.renderPlots();
+    this.fit();
     this.play.focus();
   }
 
-  /** Fit legend and layout to floor plan and drive: what they do not have is not in the legend, a wide plan is above the plots. */
+  /** Leave out of the legend what floor plan and drive do not have. */
   showThings() {
-    const svg = this.stage.svg, { width, height } = svg.viewBox.baseVal;
-    this.dialog.classList.toggle("landscape", width > 1.25 * height);
+    const svg = this.stage.svg;
     for (const entry of this.dialog.querySelectorAll("[data-thing]")) entry.hidden = !svg.querySelector(`.${entry.dataset.thing}`);
     const hidden = this.dialog.querySelector("[data-thing]:not([hidden])") === null;
     this.dialog.querySelector("input[data-layer=hidden]").parentElement.hidden = hidden;
@@ -336,12 +338,41 @@ class Player {
     return plot.timeAt(((event.clientX - box.left) * plot.width) / box.width);
   }
 
+  /** Fit plan and plots to the window. */
+  fit() {
+    this.fitPlan();
+    this.renderPlots();
+  }
+
+  /** Place the floor plan where it is larger, above or beside the plots, in its own proportions; on a phone it is always above. */
+  fitPlan() {
+    const { width, height } = this.stage.svg.viewBox.baseVal, room = this.dialog.querySelector(".player");
+    this.dialog.classList.toggle("landscape", width > 1.25 * height);
+    const plots = Math.max(360, 0.38 * room.clientWidth), across = room.clientWidth - LEGEND;
+    const beside = Math.min((across - plots - GAP) / width, room.clientHeight / height);
+    const above = Math.min(across / width, (ABOVE * room.clientHeight) / height);
+    this.dialog.classList.toggle("above", above > beside);
+    const scale = Math.max(above, beside);
+    this.dialog.style.setProperty("--plan-width", `${Math.floor(scale * width)}px`);
+    this.dialog.style.setProperty("--plan-height", `${Math.floor(scale * height)}px`);
+  }
+
+  /** Draw the plots, as high as their panel leaves room for. */
   renderPlots() {
-    for (const plot of this.plots) {
-      plot.width = Math.max(240, plot.element.clientWidth);
-      plot.render(plot.width);
-    }
-    this.seek(this.now ?? 0);
+    const panel = this.dialog.querySelector(".panel");
+    const draw = (height) => {
+      for (const plot of this.plots) {
+        plot.width = Math.max(240, plot.element.clientWidth);
+        plot.render(plot.width, height);
+      }
+    };
+    draw(LOWEST);
+    this.seek(this.now ?? 0); // the words about the cycle take room, too
+    const used = this.command.getBoundingClientRect().bottom - panel.getBoundingClientRect().top + panel.scrollTop;
+    const rows = new Set(this.plots.map((plot) => plot.element.offsetTop)).size;
+    const height = Math.min(HIGHEST, LOWEST + Math.floor((panel.clientHeight - used - GAP) / rows));
+    if (height > LOWEST) draw(height);
+    for (const plot of this.plots) plot.show(this.now);
   }
 
   /** Go to a time. */
