@@ -304,6 +304,22 @@ def test_the_axes_of_the_panels_are_side_by_side_whatever_their_words(tab: Page,
     assert bottoms[0] == pytest.approx(bottoms[1], abs=1.0)
 
 
+def test_a_window_of_1000_pixels_has_three_panels_in_a_row_and_tables_beside_the_floor_plan(
+    tab: Page, driven: Driven
+) -> None:
+    tab.set_viewport_size({"width": 1000, "height": 1400})
+    tab.goto(driven.url)
+    tab.evaluate("document.querySelector('.panels').append(document.querySelector('.panels figure').cloneNode(true))")
+    boxes = "all => all.map(e => e.getBoundingClientRect())"
+    panels = tab.locator(".panels figure").evaluate_all(boxes)
+    assert len(panels) == 3
+    assert len({panel["top"] for panel in panels}) == 1
+    assert panels[-1]["right"] > 950
+    (plan,), (first, others) = (tab.locator(f".scenario > {of}").evaluate_all(boxes) for of in ("figure", ".tables"))
+    assert first["bottom"] < others["top"] == plan["top"]
+    assert others["left"] > plan["right"]
+
+
 @pytest.mark.parametrize(("width", "columns"), [(390, 1), (640, 1), (700, 2), (760, 2), (800, 2)])
 def test_as_many_panels_are_side_by_side_as_fit(width: int, columns: int, tab: Page, driven: Driven) -> None:
     tab.set_viewport_size({"width": width, "height": 900})

@@ -177,11 +177,16 @@ def _entry(results: Results, name: str, shown: Shown) -> Element:
     mine = [result for result in every if result.trials]
     title, settings = cell.base or name, settings_of(cell)
     tables = [_table(results, name, mine), measures_table(shown, mine, name)] if mine else []
-    wide = [element("div", stacked(table), class_="wide") for table in tables if table is not None]
+    blocks = [element("div", stacked(table), class_="wide") for table in tables if table is not None]
     if waiting := ", ".join(result.title for result in every if not result.trials):
-        wide.append(element("p", f"Not run yet: {waiting}.", class_="key"))
+        blocks.append(element("p", f"Not run yet: {waiting}.", class_="key"))
+    # a window that is too narrow for all side by side has the picture below the first block, beside the others
+    parts = (
+        element("div", *some, class_=f"tables {place}")
+        for some, place in ((blocks[:1], "first"), (blocks[1:], "others"))
+    )
     content = [
-        element("div", _picture(results, name), element("div", *wide, class_="tables"), class_="scenario"),
+        element("div", _picture(results, name), *parts, class_="scenario"),
         _unsuccessful(results, name),
     ]
     if len(results.entries) <= MANY:
