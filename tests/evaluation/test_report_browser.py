@@ -320,6 +320,16 @@ def test_a_window_of_1000_pixels_has_three_panels_in_a_row_and_tables_beside_the
     assert others["left"] > plan["right"]
 
 
+def test_the_colours_of_the_legend_of_the_overview_are_those_of_its_cells(tab: Page, driven: Driven) -> None:
+    tab.goto(driven.url)
+    cell = tab.locator(".overview td.ends").first.evaluate("e => getComputedStyle(e).backgroundImage")
+    looks = ("success", "timeout", "collision")
+    swatch = "e => getComputedStyle(e).backgroundColor"
+    colours = [tab.locator(f"#overview .key .swatch.{look}").evaluate(swatch) for look in looks]
+    assert [colour in cell for colour in colours] == [True, True, True]
+    assert len(set(colours)) == 3
+
+
 @pytest.mark.parametrize(("width", "columns"), [(390, 1), (640, 1), (700, 2), (760, 2), (800, 2)])
 def test_as_many_panels_are_side_by_side_as_fit(width: int, columns: int, tab: Page, driven: Driven) -> None:
     tab.set_viewport_size({"width": width, "height": 900})

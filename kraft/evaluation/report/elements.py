@@ -57,10 +57,14 @@ def _label(heading: Element) -> str:
     return ", ".join(text for text in (heading.text, *(small.text for small in heading.iter("small"))) if text)
 
 
-def outcome_legend(failed: bool) -> list[Element]:
-    """Names of the outcomes success, timeout, collision and, if there is one, failed, each with its colour."""
+def outcome_legend(failed: bool, *, soft: bool = False) -> list[Element]:
+    """Names of the outcomes success, timeout, collision and, if there is one, failed, each with its colour.
+
+    The `soft` colours are those of cells with words on them.
+    """
     looks = ("success", "timeout", "collision", *(["failed"] if failed else []))
-    return [element("span", element("i", class_=f"swatch {look}"), f" {look}") for look in looks]
+    shade = " soft" if soft else ""
+    return [element("span", element("i", class_=f"swatch {look}{shade}"), f" {look}") for look in looks]
 
 
 def number(value: float) -> str:

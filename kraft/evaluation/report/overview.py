@@ -96,7 +96,7 @@ def overview(results: Results) -> Element:
         element("h2", "Overview"),
         element(
             "p",
-            *outcome_legend(summary.failed > 0),
+            *outcome_legend(summary.failed > 0, soft=True),
             words,
             hint(" A heading sorts by its column, a number lists its trials."),
             class_="key",
