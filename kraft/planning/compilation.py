@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -43,6 +43,7 @@ from ompl_ext.vehicle import Footprint, Vehicle
 
 POLL: Final = 0.05  # s, longest delay of an interrupt
 MAPS: Final = "maps"  # files that mark what is compiled
+MAPS_PART: Final = "the maps' kernels"
 HEADING: Final = "heading"
 OPTIONAL: Final = {"rollouts": "the rollouts", "sst": "the planner sst"}
 
@@ -63,7 +64,16 @@ def ensure_compiled(
     `heading`, all that goals with a heading need, that among it.  `modules` names kernels that few methods use, see
     `optional_module`.
     """
-    parts = _missing(vehicle, steps=steps, heading=heading, polish=polish or heading, modules=modules)
+    _compile(_missing(vehicle, steps=steps, heading=heading, polish=polish or heading, modules=modules), report)
+
+
+def ensure_maps_compiled(report: Callable[[str], None]) -> None:
+    """Compile the kernels of the maps, which checks of a scenario need, unless they are cached."""
+    _compile({} if _marker(MAPS).exists() else {MAPS_PART: compile_maps}, report)
+
+
+def _compile(parts: Mapping[str, Callable[[], object]], report: Callable[[str], None]) -> None:
+    """Compile parts by name; `report` gets what is compiled and each part that is done."""
     if not parts:
         return
     # no estimate: what else the machine does makes it three times as long
@@ -85,7 +95,7 @@ def _missing(
     if not is_cached(vehicle):
         parts[f"the planner and the model of {vehicle.name}"] = partial(_exercise, vehicle)
     elif not _marker(MAPS).exists():  # otherwise compiled with the planner
-        parts["the maps' kernels"] = compile_maps
+        parts[MAPS_PART] = compile_maps
     if steps and not are_steps_cached(vehicle):
         parts[f"the steps of the model of {vehicle.name}"] = partial(step_kernels, vehicle)
     if steps and not _is_identification_cached():

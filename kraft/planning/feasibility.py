@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final
 
 from kraft.errors import Code, Diagnostic, InputError, Unreachable
@@ -96,6 +97,18 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
         raise InputError(problems)
 
 
+def needs_motions(task: Task) -> bool:
+    """Whether `check_placement` simulates motions of the vehicle, for which its kernels are compiled.
+
+    All other tasks need those of maps alone.
+    """
+    return bool(task.goal.limits) or (_has_short_step(task) and task.planning.edge_duration is None)
+
+
+def _has_short_step(task: Task) -> bool:
+    return task.planning.integration_step < INTEGRATION_STEP
+
+
 def _speed_problems(task: Task, vehicle: Vehicle) -> list[Diagnostic]:
     """A speed at the start that the vehicle does not have."""
     speed = task.start.speed
@@ -111,7 +124,7 @@ def _speed_problems(task: Task, vehicle: Vehicle) -> list[Diagnostic]:
 
 def _step_problems(task: Task, vehicle: Vehicle) -> list[Diagnostic]:
     """A step that is too short for the edges of the vehicle.  Their durations are computed only for a shorter step."""
-    if task.planning.integration_step >= INTEGRATION_STEP:
+    if not _has_short_step(task):
         return []
     try:
         settings_of(task, vehicle)
@@ -184,9 +197,9 @@ def check_reachable(task: Task, vehicle: Vehicle) -> float:
 
 def geodesic_time(task: Task, vehicle: Vehicle) -> float:
     """Time of the shortest path at top speed for the disc inscribed in the footprint, s; infinite if there is none."""
-    problem = make_problem(
-        vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings_of(task, vehicle)
-    )
+    goal = replace(goal_of(task), limits={})
+    settings = Settings(pose_cost_to_go=False)  # neither limits nor settings matter; the vehicle's need its kernels
+    problem = make_problem(vehicle, workspace_of(task, vehicle), goal, safety_of_task(task), settings)
     least = least_time(problem, task.start.x, task.start.y)
     return least if least < costtogo.UNREACHABLE else math.inf
 

@@ -31,7 +31,7 @@ def validate(
     from kraft_cli.work.validate import check_file
 
     terminal: Terminal = context.obj
-    reports = [check_file(file) for file in files]
+    reports = [check_file(file, terminal.info) for file in files]
     if json:
         content = [_file_json(report) for report in reports]
         terminal.json("kraft.validate/1", {"valid": all(report.valid for report in reports), "files": content})

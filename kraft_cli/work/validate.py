@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
@@ -16,11 +17,13 @@ from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, MissingError, Problems, Unreachable
 from kraft.evaluation.suite import SuiteFile, load_suite
 from kraft.logs.mapping import Mapping
-from kraft.planning.feasibility import check_placement, check_reachable
+from kraft.planning.compilation import ensure_compiled, ensure_maps_compiled
+from kraft.planning.feasibility import check_placement, check_reachable, needs_motions
 from kraft.planning.plan_file import SCHEMA as PLAN_SCHEMA
 from kraft.planning.plan_file import read_plan
 from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.robot.robot_file import Robot
+from kraft.scenario import Scenario
 from kraft.scenario.geometry import MapServerFile, read_map
 from kraft.scenario.loader import scenario_from
 from kraft.scenario.schema import ScenarioFile
@@ -65,8 +68,10 @@ class FileReport:
         return not self.problems and self.defect is None
 
 
-def check_file(name_or_path: str | Path) -> FileReport:
+def check_file(name_or_path: str | Path, report: Callable[[str], None]) -> FileReport:
     """Check a file, a bundled file by name, or a vehicle in code. Problems and defects are returned, not raised.
+
+    `report` receives messages about what is compiled.
 
     Raises:
         MissingError: if something that the check needs is not installed.
@@ -83,7 +88,7 @@ def check_file(name_or_path: str | Path) -> FileReport:
         file = str(path)
         document = read_document(path)
         kind = "plan" if _schema(document) == PLAN_SCHEMA else recognise(document)
-        _check_as(kind, document, path)
+        _check_as(kind, document, path, report)
     except (InputError, Unreachable) as error:
         return FileReport(file, kind, error.diagnostics)
     except (MissingError, CacheError):
@@ -135,13 +140,9 @@ def _find(name_or_path: str | Path) -> Path:
     return bundled.find("scenario", name_or_path)
 
 
-def _check_as(kind: FileKind, document: Document, path: Path) -> None:
+def _check_as(kind: FileKind, document: Document, path: Path, report: Callable[[str], None]) -> None:
     if kind == "scenario":
-        scenario = scenario_from(document, path.parent)
-        vehicle = vehicle_of_task(scenario.task())
-        check_placement(scenario.task(), vehicle, start_state(scenario.task(), vehicle))
-        check_robot(scenario, vehicle)
-        check_reachable(scenario.task(), vehicle)
+        _check_scenario(scenario_from(document, path.parent), report)
     elif kind == "vehicle":
         configured(read_vehicle_file(path))
         check_own_robot(load_vehicle(str(path)))
@@ -155,6 +156,19 @@ def _check_as(kind: FileKind, document: Document, path: Path) -> None:
         _validated(_SCHEMAS[kind], document)
     else:
         read_map(path, height=0.2, name=None)
+
+
+def _check_scenario(scenario: Scenario, report: Callable[[str], None]) -> None:
+    """Check start, goal and robot of a scenario, and that a path leads to the goal."""
+    task = scenario.task()
+    vehicle = vehicle_of_task(task)
+    if needs_motions(task):
+        ensure_compiled(vehicle, report)
+    else:
+        ensure_maps_compiled(report)
+    check_placement(task, vehicle, start_state(task, vehicle))
+    check_robot(scenario, vehicle)
+    check_reachable(task, vehicle)
 
 
 def _check_method(document: Document, path: Path) -> None:

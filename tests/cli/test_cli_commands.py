@@ -19,6 +19,7 @@ from kraft.scenario.planning import PLANNERS
 from kraft_cli.main import main
 from kraft_cli.work import doctor as environment
 from kraft_cli.work.doctor import REQUIRED, Finding
+from ompl_ext.vehicle import Vehicle
 
 GOOD = """name: x
 bounds: {x: [0, 4], y: [0, 4]}
@@ -41,6 +42,22 @@ def test_valid_files_are_said_to_be_what_they_are(files: Path, capsys: pytest.Ca
     assert out.splitlines()[0] == "good.yaml: valid scenario"
     assert out.splitlines()[1].endswith("mushr.yaml: valid vehicle")
     assert err == ""
+
+
+def test_validation_of_a_scenario_compiles_the_maps_kernels_alone_and_says_so(
+    files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def planner(vehicle: Vehicle) -> None:
+        raise AssertionError(f"the planner is compiled for {vehicle.name}")
+
+    monkeypatch.setattr("ompl_ext.motion.kernels", planner)
+    monkeypatch.setattr("kraft.planning.compilation.kernels", planner)
+    monkeypatch.setattr("kraft.planning.compilation._marker", lambda name: files / name)
+    monkeypatch.setattr("kraft.planning.compilation.compile_maps", lambda: None)
+    assert main(["validate", "good.yaml"]) == 0
+    out, err = capsys.readouterr()
+    assert out == "good.yaml: valid scenario\n"
+    assert err.startswith("compiling the maps' kernels for this machine, once: ")
 
 
 def test_every_bundled_file_is_valid(capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,7 +25,7 @@ controller: {kind: kinodynamic, k_path: 5, look: 0.1}
 
 def problems_of(folder: Path, text: str) -> tuple[Diagnostic, ...]:
     (folder / "m.yaml").write_text(text, encoding="utf-8")
-    return check_file(folder / "m.yaml").problems
+    return check_file(folder / "m.yaml", print).problems
 
 
 @pytest.mark.parametrize("name", bundled.names("method"))
@@ -35,7 +35,7 @@ def test_a_bundled_method_is_described_and_names_its_schema(name: str) -> None:
     method = load_method(name)
     assert method.name == name
     assert method.description
-    assert check_file(name).kind == "method"
+    assert check_file(name, print).kind == "method"
 
 
 def test_a_good_file_has_no_problems_and_loads(tmp_path: Path) -> None:

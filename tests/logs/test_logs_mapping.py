@@ -237,7 +237,7 @@ def test_what_is_wrong_in_a_mapping_file_is_said_at_its_place(tmp_path: Path, te
         mapping_of(tmp_path, text)
     (problem,) = error.value.diagnostics
     assert f"{problem.line}:{problem.column} {problem.path}" == expected
-    checked = check_file(tmp_path / "m.yaml")
+    checked = check_file(tmp_path / "m.yaml", print)
     assert (checked.kind, checked.problems) == ("mapping", error.value.diagnostics)
 
 
@@ -258,7 +258,7 @@ def test_an_unknown_control_is_said_alike_of_one_log_and_of_all(tmp_path: Path) 
 
 def test_validate_knows_a_mapping_file(tmp_path: Path) -> None:
     mapping_of(tmp_path, MAPPING)
-    checked = check_file(tmp_path / "m.yaml")
+    checked = check_file(tmp_path / "m.yaml", print)
     assert (checked.kind, checked.problems) == ("mapping", ())
 
 

@@ -22,14 +22,14 @@ command: {topic: /drive}
 
 def problems_of(folder: Path, text: str) -> tuple[Diagnostic, ...]:
     (folder / "r.yaml").write_text(text, encoding="utf-8")
-    return check_file(folder / "r.yaml").problems
+    return check_file(folder / "r.yaml", print).problems
 
 
 @pytest.mark.parametrize("name", bundled.names("robot"))
 def test_a_bundled_robot_is_valid_and_described_and_names_its_schema(name: str) -> None:
     path = bundled.folder("robot") / f"{name}.yaml"
     assert path.read_text(encoding="utf-8").splitlines()[0] == "# yaml-language-server: $schema=robot.schema.json"
-    assert check_file(path).kind == "robot"
+    assert check_file(path, print).kind == "robot"
     robot = load_robot(name)
     assert robot.name == name
     assert robot.description
