@@ -14,8 +14,8 @@ from kraft.driving.control import kernel_modules, needs_steps
 from kraft.errors import Code, Diagnostic, Problems, Unreachable, out_of_range
 from kraft.evaluation.cluster import Cluster
 from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, WARNINGS, Experiment, MethodLike, experiment_of
-from kraft.evaluation.folder import NEW, Folder, check_exists, create, reopen, write_results
-from kraft.evaluation.job import Executor, Log
+from kraft.evaluation.folder import NEW, Folder, check_exists, check_resumable, create, reopen, write_results
+from kraft.evaluation.job import Executor, Log, no_log
 from kraft.evaluation.journal import Key, TrialRow
 from kraft.evaluation.processes import Processes
 from kraft.evaluation.report import CommandLine
@@ -111,12 +111,14 @@ def evaluate(
     observer, recorded = observer or Observer(), frozen(dict(arguments or {}))  # before a folder is made
     experiment = check_arguments(
         scenarios, methods, trials, seed, jobs, out, suite=suite, settings=settings, vary=vary, vehicle=vehicle,
-        resume=resume, realtime=realtime,
+        resume=resume, realtime=realtime, log=observer.log,
     )  # fmt: skip
+    if resume and out is not None:
+        check_resumable(Path(out), experiment, recorded)
+    executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
     _warn(experiment, observer.log)
     _ensure_compiled(experiment, observer.log)
     experiment = replace(experiment, bounds=_least_times(experiment))
-    executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
     if out is None:
         return _run_experiment(experiment, executor, None, observer, command_line)
     folder = (reopen if resume else create)(Path(out), experiment, recorded)
@@ -138,8 +140,9 @@ def check_arguments(
     vehicle: str | Path | None = None,
     resume: bool = False,
     realtime: bool = False,
+    log: Log = no_log,
 ) -> Experiment:
-    """Experiment of arguments of `evaluate`.
+    """Experiment of arguments of `evaluate`; `log` gets messages about kernels that the checks compile.
 
     Raises:
         InputError: with every problem of the arguments.
@@ -160,7 +163,7 @@ def check_arguments(
     experiment = problems.of(
         lambda: experiment_of(
             scenarios or (), methods, suite=SUITE if scenarios is None and suite is None else suite,
-            settings=settings, vary=vary, vehicle=vehicle, trials=trials, seed=seed, realtime=realtime,
+            settings=settings, vary=vary, vehicle=vehicle, trials=trials, seed=seed, realtime=realtime, log=log,
         )
     )  # fmt: skip
     problems.check()

@@ -14,10 +14,11 @@ from typing import Final, TypeAlias
 from kraft.driving.control import check_packages
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
-from kraft.evaluation.job import Job
+from kraft.evaluation.job import Job, Log, no_log
 from kraft.evaluation.paper import is_of_paper
 from kraft.evaluation.suite import Entry, ScenarioLike, Settings, Sweeps, entries_of, list_problems, repeated_names
-from kraft.planning.feasibility import check_placement
+from kraft.planning.compilation import ensure_compiled
+from kraft.planning.feasibility import check_placement, needs_motions
 from kraft.planning.workspace import start_state
 from kraft.scenario import Scenario
 from kraft.trial.far_camera import far_camera
@@ -132,11 +133,12 @@ def experiment_of(
     trials: int = TRIALS,
     seed: int = 0,
     realtime: bool = False,
+    log: Log = no_log,
 ) -> Experiment:
     """Load scenarios, methods and vehicles and check starts and goals.
 
     The planning model is `vehicle`, else the method's own, else the scenario's.  `suite`, `settings` and `vary` are
-    those of `kraft.evaluation.suite.entries_of`.
+    those of `kraft.evaluation.suite.entries_of`.  `log` gets messages about kernels that the checks compile.
 
     Raises:
         InputError: with every problem of names, files, keys, numbers, starts and goals.
@@ -149,7 +151,7 @@ def experiment_of(
     problems.check()
     if realtime:
         problems.found += [diagnostic for method in loaded for diagnostic in _too_little_time(method)]
-    cells = tuple(_cells(entries, loaded, reference, problems.found))
+    cells = tuple(_cells(entries, loaded, reference, problems.found, log))
     problems.check()
     return Experiment(cells, int(trials), int(seed), realtime)
 
@@ -184,7 +186,7 @@ def _methods(given: Sequence[MethodLike], problems: Problems) -> list[Method]:
 
 
 def _cells(
-    entries: list[Entry], methods: list[Method], vehicle: str | None, problems: list[Diagnostic]
+    entries: list[Entry], methods: list[Method], vehicle: str | None, problems: list[Diagnostic], log: Log
 ) -> Iterator[Cell]:
     loaded: dict[str, Vehicle] = {}
     for entry in entries:
@@ -199,6 +201,8 @@ def _cells(
                 check_vehicle(method, model, own=reference not in (vehicle, scenario.vehicle))
                 if reference not in checked:
                     checked.add(reference)
+                    if needs_motions(scenario):
+                        ensure_compiled(model, log)
                     check_placement(scenario, model, start_state(scenario, model))
                     check_robot(scenario, model)
                 unchanged = not entry.settings and reference == vehicle_reference(scenario, method)

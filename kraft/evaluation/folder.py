@@ -72,12 +72,9 @@ def reopen(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> 
     Raises:
         InputError: if the folder does not exist or is damaged; with every difference if it is of another evaluation.
     """
-    check_exists(path)
-    if not (path / MANIFEST).exists() and not (path / journal.NAME).exists():
-        check_empty(path)
-        return _new_folder(path, experiment, arguments)  # it was stopped before the manifest was written
-    was = read_manifest(path / MANIFEST)
-    check_same_manifest(path / MANIFEST, was, manifest_of(experiment, arguments))
+    was = check_resumable(path, experiment, arguments)
+    if was is None:
+        return _new_folder(path, experiment, arguments)
     file = path / journal.NAME
     opened = Journal(file)  # first, so that no other process writes it any more
     try:
@@ -86,6 +83,24 @@ def reopen(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> 
         opened.close()
         raise
     return Folder(path, was, opened, _finished(rows), opened.was_cut)
+
+
+def check_resumable(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Check that a folder is of this evaluation, and return its manifest.
+
+    Returns:
+        None if the evaluation was stopped before the manifest was written.
+
+    Raises:
+        InputError: if the folder does not exist or is damaged; with every difference if it is of another evaluation.
+    """
+    check_exists(path)
+    if not (path / MANIFEST).exists() and not (path / journal.NAME).exists():
+        check_empty(path)
+        return None
+    was = read_manifest(path / MANIFEST)
+    check_same_manifest(path / MANIFEST, was, manifest_of(experiment, arguments))
+    return was
 
 
 def check_exists(path: Path) -> None:

@@ -85,6 +85,12 @@ def _vehicle(reference: str) -> Vehicle:
 
 StopRequested: TypeAlias = Callable[[], bool]
 Log: TypeAlias = Callable[[str], None]
+
+
+def no_log(_: str) -> None:
+    """Log that keeps nothing."""
+
+
 POLL: Final = 0.1
 """Longest time until a request to stop takes effect, s."""
 

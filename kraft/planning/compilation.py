@@ -14,6 +14,8 @@ from typing import Final
 
 import numpy as np
 
+from kraft.planning.feasibility import needs_motions
+from kraft.scenario import Task
 from ompl_ext.arrays import Matrix32
 from ompl_ext.exact import ExactClearance
 from ompl_ext.interrupts import interrupts_between_passes
@@ -67,9 +69,15 @@ def ensure_compiled(
     _compile(_missing(vehicle, steps=steps, heading=heading, polish=polish or heading, modules=modules), report)
 
 
-def ensure_maps_compiled(report: Callable[[str], None]) -> None:
-    """Compile the kernels of the maps, which checks of a scenario need, unless they are cached."""
-    _compile({} if _marker(MAPS).exists() else {MAPS_PART: compile_maps}, report)
+def ensure_checks_compiled(task: Task, vehicle: Vehicle, report: Callable[[str], None]) -> None:
+    """Compile what `check_placement` and `check_reachable` need: the kernels of maps, and the vehicle's for few tasks.
+
+    What is cached is not compiled again; `report` gets progress messages.
+    """
+    if needs_motions(task):
+        ensure_compiled(vehicle, report)
+    elif not _marker(MAPS).exists():
+        _compile({MAPS_PART: compile_maps}, report)
 
 
 def _compile(parts: Mapping[str, Callable[[], object]], report: Callable[[str], None]) -> None:

@@ -12,7 +12,15 @@ import numpy as np
 
 from kraft.errors import Defect
 from kraft.planning.feasibility import UNREACHABLE, check_placement, reachable
-from kraft.planning.search import Budget, Previous, SearchResult, check_seed, check_threads, search_named
+from kraft.planning.search import (
+    Budget,
+    Previous,
+    SearchResult,
+    check_previous,
+    check_seed,
+    check_threads,
+    search_named,
+)
 from kraft.planning.workspace import (
     goal_of,
     safety_of_task,
@@ -116,8 +124,7 @@ def plan_task(
     check_threads(task.planning.planner, threads)
     check_seed(seed)
     seed, threads = int(seed), int(threads)
-    if previous is not None:
-        previous.check(vehicle)
+    check_previous(task.planning.planner, previous, vehicle)
     state = start_state(task, vehicle) if previous is None else previous.state
     check_placement(task, vehicle, state, previous.origin if previous else None)
     began = clock.perf_counter()

@@ -16,6 +16,9 @@ from ompl_ext.query_tree import MAX_THREADS, Progress
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
+RETAINING: Final = ("dirt", "sst")
+"""Planners that can begin with the edges of an earlier plan."""
+
 
 @dataclass(frozen=True)
 class Previous:
@@ -124,6 +127,20 @@ def check_seed(seed: int) -> None:
         raise InputError(problems)
 
 
+def check_previous(planner: str, previous: Previous | None, vehicle: Vehicle) -> None:
+    """Check that a planner can begin with a previous plan, if there is one, and that this is a plan of `vehicle`.
+
+    Raises:
+        InputError: if it cannot, or the plan is not, or is over before it is to be continued.
+    """
+    if previous is None:
+        return
+    if planner not in RETAINING:
+        problem = f"is {planner!r}, which cannot keep an earlier plan"
+        raise InputError.of_argument("planner", problem, "expected 'dirt' or 'sst'", Code.CONFLICT)
+    previous.check(vehicle)
+
+
 def _tree_search(dirt: DirtSolver, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:
     if previous is not None:
         dirt.retain(previous.plan, previous.elapsed)
@@ -135,9 +152,7 @@ def _ompl_search(name: str) -> Search:
     def search(dirt: DirtSolver, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:
         from ompl_ext.peers import plan_with_ompl
 
-        if previous is not None:
-            problem = f"is {name!r}, which cannot keep an earlier plan"
-            raise InputError.of_argument("planner", problem, "expected 'dirt' or 'sst'", Code.CONFLICT)
+        assert previous is None, "otherwise it was refused"
         assert dirt.goal is not None, "a task has a goal"
         result = plan_with_ompl(
             name, dirt.vehicle, dirt.workspace, state, dirt.goal, safety=dirt.safety, settings=dirt.settings,
@@ -152,5 +167,5 @@ def _ompl_search(name: str) -> Search:
 
 
 _SEARCHES: Final[dict[str, Search]] = {
-    name: _tree_search if name in ("dirt", "sst") else _ompl_search(name) for name in PLANNERS
+    name: _tree_search if name in RETAINING else _ompl_search(name) for name in PLANNERS
 }

@@ -14,7 +14,7 @@ from kraft.config.overrides import value_text
 from kraft.config.source import Place
 from kraft.errors import Code, Diagnostic, InputError, Unreachable
 from kraft.files import check_new_folder, new_folder
-from kraft.planning.compilation import ensure_compiled
+from kraft.planning.compilation import ensure_checks_compiled
 from kraft.planning.feasibility import check_placement, check_reachable
 from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario import Trial, parse_scenario
@@ -215,7 +215,7 @@ def check(world: World, out: Path, folder: Path, log: Log = no_log) -> float:
     try:
         scenario = parse_scenario(world.text, str(out / f"{world.name}.yaml"), folder)
         vehicle = vehicle_of_task(scenario)
-        ensure_compiled(vehicle, log, heading=scenario.goal.heading is not None)
+        ensure_checks_compiled(scenario, vehicle, log)
         check_placement(scenario, vehicle, start_state(scenario, vehicle))
         return check_reachable(scenario, vehicle)
     except InputError as error:

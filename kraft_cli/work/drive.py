@@ -23,6 +23,7 @@ from kraft.planning.feasibility import check_reachable
 from kraft.provenance import SIMULATION, plain, versions
 from kraft.robot.bag import check_bag
 from kraft.robot.command import limited
+from kraft.robot.connect import check_transport
 from kraft.robot.drive import DriveResult, check_method, drive, on_the_clock
 from kraft.robot.protocol import Checked, DriveSpec, Status
 from kraft.robot.robot_file import Robot, load_robot
@@ -92,6 +93,7 @@ def drive_robot(
         MissingDependency: if a package of the transport is missing.
     """
     out, bag, spec = request.out, request.bag, resolve(request)
+    check_transport(spec.robot)
     for line in vehicle_details(spec.vehicle):
         detail(line)
     steps, heading = needs_steps(spec.method, spec.vehicle), spec.task.goal.heading is not None

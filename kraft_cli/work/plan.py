@@ -13,12 +13,12 @@ from kraft.config.overrides import Override, parse_overrides, plain_value
 from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.files import check_all
 from kraft.planning.compilation import ensure_compiled
-from kraft.planning.feasibility import memory_needed
+from kraft.planning.feasibility import check_placement, memory_needed, needs_motions
 from kraft.planning.plan import PlanResult, budget_of, plan_task
 from kraft.planning.plan_file import NAME, Origin, check_plan_target, read_plan_file, write_plan
-from kraft.planning.search import Previous, check_seed, check_threads, search_named
+from kraft.planning.search import Previous, check_previous, check_seed, check_threads, search_named
 from kraft.planning.stated_speed import faster_than_stated
-from kraft.planning.workspace import vehicle_of_task
+from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario import Planning, Task, load_scenario
 from kraft.text import counted, finite, grouped, metres
 from kraft.vehicles.load import load_vehicle
@@ -151,7 +151,19 @@ def _inputs(request: PlanRequest, report: Callable[[str], None]) -> _Inputs:
     assert settings is not None, "every problem was raised"
     assert task is not None, "every problem was raised"
     assert vehicle is not None, "every problem was raised"
+    problems.of(lambda: check_previous(planning.planner, previous, vehicle))
+    if not needs_motions(task):  # otherwise it is done when the vehicle's kernels are compiled
+        problems.of(lambda: _check_placement(task, vehicle, previous))
+    problems.check()
     return _Inputs(settings, task, vehicle, previous, target)
+
+
+def _check_placement(task: Task, vehicle: Vehicle, previous: Previous | None) -> None:
+    """Check where planning starts, unless the previous plan is over by then, and the goal."""
+    if previous is None:
+        check_placement(task, vehicle, start_state(task, vehicle))
+    elif 0.0 <= previous.elapsed < previous.plan.cost:
+        check_placement(task, vehicle, previous.state, previous.origin)
 
 
 def _check_places(target: Path | None, plot: Path | None) -> None:

@@ -74,7 +74,7 @@ def run_scenario(
     """
     timer = StageTimer(detail)
     out, problems = request.out, Problems()
-    experiment = problems.of(lambda: _experiment(request))
+    experiment = problems.of(lambda: _experiment(request, report))
     problems.of(lambda: None if out is None else check_new_folder(out))
     problems.of(request.outputs.check)
     problems.check()
@@ -123,14 +123,14 @@ def _log_details(detail: Callable[[str], None], cell: Cell) -> None:
         detail(line)
 
 
-def _experiment(request: RunRequest) -> Experiment:
+def _experiment(request: RunRequest, report: Callable[[str], None]) -> Experiment:
     """Evaluation of this one trial, with its checks."""
     if not request.method:
         raise InputError.of_argument("method", "is empty", "expected the name of a method")
     problems, names, vehicle = Problems(), ([request.scenario], [request.method]), request.vehicle
     settings = problems.of(lambda: parse_overrides(request.settings, "set")) or ()
     experiment = problems.of(
-        lambda: experiment_of(*names, settings=settings, vehicle=vehicle, trials=1, seed=request.seed)
+        lambda: experiment_of(*names, settings=settings, vehicle=vehicle, trials=1, seed=request.seed, log=report)
     )
     problems.check()
     assert experiment is not None, "every problem was raised"

@@ -17,8 +17,8 @@ from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, MissingError, Problems, Unreachable
 from kraft.evaluation.suite import SuiteFile, load_suite
 from kraft.logs.mapping import Mapping
-from kraft.planning.compilation import ensure_compiled, ensure_maps_compiled
-from kraft.planning.feasibility import check_placement, check_reachable, needs_motions
+from kraft.planning.compilation import ensure_checks_compiled
+from kraft.planning.feasibility import check_placement, check_reachable
 from kraft.planning.plan_file import SCHEMA as PLAN_SCHEMA
 from kraft.planning.plan_file import read_plan
 from kraft.planning.workspace import start_state, vehicle_of_task
@@ -162,10 +162,7 @@ def _check_scenario(scenario: Scenario, report: Callable[[str], None]) -> None:
     """Check start, goal and robot of a scenario, and that a path leads to the goal."""
     task = scenario.task()
     vehicle = vehicle_of_task(task)
-    if needs_motions(task):
-        ensure_compiled(vehicle, report)
-    else:
-        ensure_maps_compiled(report)
+    ensure_checks_compiled(task, vehicle, report)
     check_placement(task, vehicle, start_state(task, vehicle))
     check_robot(scenario, vehicle)
     check_reachable(task, vehicle)

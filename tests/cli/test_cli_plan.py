@@ -251,6 +251,28 @@ def test_bad_arguments_are_explained_without_planning(
     assert {p.name for p in tmp_path.iterdir()} == {"room.yaml"}
 
 
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["room.yaml", "--from", "p/plan.json", "--after", "100"], "p/plan.json: the plan is over after "),
+        (["room.yaml", "--from", "p/plan.json", "--vehicle", "jackal"], "p/plan.json: the plan has "),
+        (["room.yaml", "--from", "p/plan.json", "--planner", "rrt"], "--planner: is 'rrt', which cannot keep "),
+        (["room.yaml", "--set", "start.x=2", "--set", "start.y=2"], "room.yaml:5:8: start: "),
+    ],
+)  # fmt: skip
+def test_what_needs_no_kernel_is_checked_before_anything_is_compiled(
+    arguments: list[str], expected: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def compiled(*_: object, **__: object) -> None:
+        raise AssertionError("compiled before the request was checked")
+
+    assert main(["plan", "room.yaml", "--out", "p"]) == 0
+    capsys.readouterr()
+    monkeypatch.setattr("kraft_cli.work.plan.ensure_compiled", compiled)
+    assert main(["plan", *arguments]) == 2
+    assert capsys.readouterr().err.startswith(expected)
+
+
 def test_two_threads_share_the_iterations_and_write_the_same_plan_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,6 +7,7 @@ import json
 import math
 import re
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,6 +27,7 @@ from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
 from kraft_cli.work.run import RunRequest, cycle_line, cycles_text, outside_bounds, run_scenario, run_table
+from ompl_ext.vehicle import Vehicle
 
 KEYS = {
     "scenario", "method", "seed", "outcome", "t_ex_s", "cycles", "contingencies", "min_clearance_m", "planning_ms_p50",
@@ -225,6 +227,19 @@ def test_a_missing_extra_is_told_before_anything_is_compiled(
     options = [option.replace("--method", "--methods" if command == "eval" else "--method") for option in options]
     assert main([command, "turns", *options]) == 3
     assert f"[{'mpc' if package == 'casadi' else 'vision'}]" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["run", "eval"])
+def test_what_the_check_of_a_goal_with_limits_compiles_is_told(
+    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def compiled(vehicle: Vehicle, report: Callable[[str], None]) -> None:
+        report(f"compiling for {vehicle.name}")
+
+    monkeypatch.setattr("kraft.evaluation.experiment.ensure_compiled", compiled)
+    limits = ["--set", "goal.limits={v: [9, 10]}"]  # is refused after the check
+    assert main([command, "short.yaml", "--vehicle", "mushr-lag", *limits]) == 2
+    assert capsys.readouterr().err.startswith("compiling for mushr-lag\n")
 
 
 def test_every_place_that_is_taken_is_reported_before_the_drive(capsys: pytest.CaptureFixture[str]) -> None:

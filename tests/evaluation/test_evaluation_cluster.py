@@ -137,7 +137,11 @@ def test_without_its_scheduler_an_evaluation_ends_and_goes_on_elsewhere(
 
 
 def test_an_address_where_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def compiled(*_: object, **__: object) -> None:
+        raise AssertionError("compiled before the address was tried")
+
     monkeypatch.setattr(cluster, "ANSWER_TIMEOUT", 0.5)
+    monkeypatch.setattr("kraft.evaluation.evaluator.ensure_compiled", compiled)
     with refused(("cluster", Code.NOT_FOUND)):
         evaluate(["turns"], ["kraft"], 1, cluster="tcp://127.0.0.1:9")
     with refused(("cluster", Code.NOT_FOUND)):

@@ -220,9 +220,13 @@ def test_there_must_be_something_to_go_on_with(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_folder_of_another_configuration_is_refused_field_by_field(
-    change: dict[str, Any], expected: list[str], tmp_path: Path
+    change: dict[str, Any], expected: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def compiled(*_: object, **__: object) -> None:
+        raise AssertionError("compiled before the folder was checked")
+
     run(tmp_path / "out", observer=StoppingObserver(2))
+    monkeypatch.setattr("kraft.evaluation.evaluator.ensure_compiled", compiled)
     before = (tmp_path / "out/trials.jsonl").read_bytes()
     with pytest.raises(InputError) as caught:
         run(tmp_path / "out", resume=True, **change)

@@ -252,9 +252,13 @@ def test_a_speed_that_the_other_program_cannot_know_is_refused(
     assert "--speed" in capsys.readouterr().err
 
 
-def test_the_transport_within_a_process_serves_no_two_processes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_transport_within_a_process_serves_no_two_processes_which_is_known_before_anything_is_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    def compiled(*_: object, **__: object) -> None:
+        raise AssertionError("compiled before the transport was checked")
+
+    monkeypatch.setattr("kraft_cli.work.drive.ensure_compiled", compiled)
     (tmp_path / "r.yaml").write_text(
         "name: r\ntransport: {kind: loopback}\npose: {topic: /p, type: nav_msgs/msg/Odometry}\ncommand: {topic: /d}\n",
         encoding="utf-8",

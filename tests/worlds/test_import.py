@@ -15,7 +15,7 @@ from support.paths import ROOT
 
 from kraft.errors import Code, InputError, Unreachable
 from kraft.evaluation.suite import load_suite
-from kraft.scenario import Box, Circle, Polygon, load_scenario
+from kraft.scenario import Box, Circle, Polygon, Task, load_scenario
 from kraft.worlds.imports import OTHERS, Request, import_worlds
 from kraft_cli.main import main
 from ompl_ext.vehicle import Vehicle
@@ -198,18 +198,18 @@ def test_unknown_shapes_are_counted_refused_and_left_out_on_request(tmp_path: Pa
 def test_what_the_checks_need_is_compiled_with_a_word_and_every_checked_world_is_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def compiled(vehicle: Vehicle, report: Callable[[str], None], *, heading: bool) -> None:
-        report(f"compiling for {vehicle.name}, heading {heading}")
+    def compiled(task: Task, vehicle: Vehicle, report: Callable[[str], None]) -> None:
+        report(f"compiling for {task.name} and {vehicle.name}")
 
     for number in (7, 8):
         (tmp_path / f"world_{number}.world").write_text(sdf(model("post", CYLINDER)), encoding="utf-8")
-    monkeypatch.setattr("kraft.worlds.world.ensure_compiled", compiled)
+    monkeypatch.setattr("kraft.worlds.world.ensure_checks_compiled", compiled)
     assert main(["import", "barn", str(tmp_path), "--out", str(tmp_path / "out")]) == 0
     said = [line for line in capsys.readouterr().err.splitlines() if "no score" not in line]
     assert said == [
-        "compiling for jackal, heading False",
+        "compiling for barn-7 and jackal",
         "world 1 of 2: barn-7",
-        "compiling for jackal, heading False",
+        "compiling for barn-8 and jackal",
         "world 2 of 2: barn-8",
     ]
 
