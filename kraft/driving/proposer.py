@@ -373,7 +373,7 @@ class Proposer:
         if dirt.start(root, self._seed_of(query.number)) < 0.0:
             return Proposal(None, "the predicted start of the cycle is in collision or too near to an obstacle")
         if dirt.slack(root) < 0.0:
-            return Proposal(None, "the predicted start of the cycle lacks clearance")
+            return Proposal(None, _lack(dirt, root))
         lost, retained = PlanLoss.NONE, None
         if remainder is not None:
             begun = remainder.edges is not None and start_with_best_corrections(
@@ -460,6 +460,17 @@ def _is_better(found: Proposal, proposal: Proposal, gain: float) -> bool:
     if found.plan is None or proposal.plan is None or not found.plan.reaches_goal:
         return False
     return not proposal.plan.reaches_goal or found.plan.total_cost <= proposal.plan.total_cost - gain
+
+
+def _lack(dirt: DirtSolver, root: Floats) -> str:
+    """Why no plan begins at a root whose clearance is too small: how much of it is missing, where that is known.
+
+    The slack of an edge is that of the first disc that lacks clearance, and other discs may lack more.
+    """
+    missing = -least_slack(dirt, root[None, :], 0.0)
+    if not 0.0 < missing < math.inf:
+        return "the predicted start of the cycle lacks clearance"
+    return f"the predicted start of the cycle lacks {missing:.3f} m of the clearance delta that the cycle requires"
 
 
 def _failure_reason(progress: Progress) -> str:

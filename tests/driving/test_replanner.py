@@ -149,7 +149,7 @@ def test_without_a_plan_the_vehicle_stops() -> None:
     subject = replanner(safety=Clearance(delta=0.5))  # more than the start has to the near wall
     cycle = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start()))
     assert cycle.kind is ReferenceKind.CONTINGENCY
-    assert "lacks clearance" in cycle.reason
+    assert " m of the clearance delta that the cycle requires" in cycle.reason
     np.testing.assert_allclose(cycle.predicted.final_state[:2], start()[:2], atol=1e-6)
 
 
