@@ -147,10 +147,19 @@ def read_model(path: Path, model: type[Model]) -> tuple[Model, Document]:
         InputError: with every problem of the file.
     """
     document = read_document(path)
+    return valid(model, document), document
+
+
+def valid(model: type[Model], document: Document) -> Model:
+    """Validate a document.
+
+    Raises:
+        InputError: with every problem.
+    """
     value, problems = check(model, document)
     if value is None:
         raise InputError(problems)
-    return value, document
+    return value
 
 
 def check(model: type[Model], document: Document) -> tuple[Model | None, list[Diagnostic]]:
@@ -189,10 +198,7 @@ def build(model: type[Model], content: Mapping[str, Any], origin: str) -> Model:
     Raises:
         InputError: with every problem.
     """
-    value, problems = check(model, Document(dict(content), Source(origin)))
-    if value is None:
-        raise InputError(problems)
-    return value
+    return valid(model, Document(dict(content), Source(origin)))
 
 
 def part(model: type[Model], value: Value) -> Model | None:

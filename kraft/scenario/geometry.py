@@ -12,6 +12,7 @@ import warnings
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Final, Literal, TypeAlias
 
@@ -21,9 +22,10 @@ from PIL import Image, UnidentifiedImageError
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from kraft.config.schema import LENGTH_MIN, Angle, Coordinate, Probability, StrictModel, is_number, read_model, refuse
+from kraft.config.schema import LENGTH_MIN, Angle, Coordinate, Probability, StrictModel, is_number, refuse, valid
 from kraft.config.source import Source
-from kraft.errors import Code, InputError
+from kraft.config.yaml_reader import read_document
+from kraft.errors import Code, InputError, Problems
 from ompl_ext.memory import available_memory, in_words
 from ompl_ext.obstacles import OccupancyGrid
 
@@ -238,8 +240,16 @@ def read_map(path: Path, *, height: float, name: str | None) -> OccupancyMap:
     """
     if is_image(path):
         raise InputError.of(str(path), "is an image", NOT_AN_IMAGE, Code.MISMATCH)
-    settings, document = read_model(path, MapServerFile)
-    brightness, opaque = _read_image(path.parent / settings.image, document.source)
+    document, problems = read_document(path), Problems()
+    settings = problems.of(partial(valid, MapServerFile, document))
+    image = document.data.get("image") if isinstance(document.data, dict) else None
+    pixels = None
+    if isinstance(image, str) and image:  # also if other keys are wrong
+        pixels = problems.of(lambda: _read_image(path.parent / image, document.source))
+    problems.check()
+    assert settings is not None, "every problem was raised"
+    assert pixels is not None, "every problem was raised"
+    brightness, opaque = pixels
     if settings.mode == "raw":  # the brightness is the occupancy in percent, above 100 is unknown
         free = np.round(brightness * 255) < settings.free_thresh * 100
     else:

@@ -153,6 +153,13 @@ def test_a_scenario_holds_the_map_it_names_and_reports_its_problems(tmp_path: Pa
     assert located([problem]) == ["1:8 image unreadable"]
 
 
+def test_problems_of_the_keys_and_of_the_image_are_told_at_once(tmp_path: Path) -> None:
+    (tmp_path / "m.yaml").write_text(YAML.replace("0.5", "-1", 1).replace("0.196", "3").replace("m.pgm", "none.pgm"))
+    found = located(raised(lambda: read_map(tmp_path / "m.yaml", height=0.2, name=None)))
+    assert "1:8 image not-found" in found
+    assert {each.split()[1] for each in found} == {"image", "resolution", "free_thresh"}
+
+
 @pytest.mark.parametrize("kind", ["pgm", "png", "pbm"])
 def test_an_image_in_place_of_the_file_of_a_map_is_said_to_be_one(kind: str, tmp_path: Path) -> None:
     image = tmp_path / f"m.{kind}"
