@@ -73,6 +73,9 @@ def find(kind: Kind, name_or_path: str | Path) -> Path:
             return folder(kind) / f"{name_or_path}.yaml"
         if os.path.isdir(name_or_path):
             raise _is_folder(kind, name_or_path)
+        if os.path.isfile(name_or_path):
+            expected = f"expected the path of a .yaml file or the name of a {kind}"
+            raise InputError.of(name_or_path, f"is no {kind} file", expected, Code.MISMATCH)
         expected = suggestion(name_or_path, names(kind), none=f"no {kind} is bundled")
         problem = f"there is no {kind} of this name"
         raise InputError.of(name_or_path, problem, f"{expected} (or the path of a .yaml file)", Code.NOT_FOUND)

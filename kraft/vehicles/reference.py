@@ -73,6 +73,9 @@ def resolve_vehicle(reference: str, folder: Path) -> str:
         raise VehicleProblem(f"{reference!r} is not a module and an attribute", "expected module:attribute", Code.VALUE)
     if bundled.is_name(reference):
         if reference not in bundled.names("vehicle"):
+            if os.path.isfile(folder / reference):
+                expected = "expected the path of a .yaml file or the name of a vehicle"
+                raise VehicleProblem(f"{reference!r} is no vehicle file", expected, Code.MISMATCH)
             expected = suggestion(reference, bundled.names("vehicle"))
             raise VehicleProblem(f"there is no vehicle {reference!r}", expected, Code.NOT_FOUND)
         return reference

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from kraft.config import bundled
 from kraft.config.document import Document
-from kraft.config.schema import Model, check
+from kraft.config.schema import valid
 from kraft.config.yaml_reader import read_document
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, MissingError, Problems, Unreachable
@@ -135,7 +135,10 @@ def _find(name_or_path: str | Path) -> Path:
     for kind in kinds:
         if name_or_path in bundled.names(kind):
             return bundled.find(kind, name_or_path)
-    if isinstance(name_or_path, str) and Path(name_or_path).suffix in ("", ".json") and Path(name_or_path).is_file():
+    if isinstance(name_or_path, str) and bundled.is_name(name_or_path) and Path(name_or_path).is_file():
+        if Path(name_or_path).suffix not in ("", ".json"):
+            expected = f"expected the .yaml file of a {', '.join(_SCHEMAS)}, or a plan file (.json)"
+            raise InputError.of(name_or_path, "is no file that can be checked", expected, Code.MISMATCH)
         return Path(name_or_path)
     return bundled.find("scenario", name_or_path)
 
@@ -153,7 +156,7 @@ def _check_as(kind: FileKind, document: Document, path: Path, report: Callable[[
     elif kind == "plan":
         read_plan(path)
     elif kind in ("mapping", "robot"):
-        _validated(_SCHEMAS[kind], document)
+        valid(_SCHEMAS[kind], document)
     else:
         read_map(path, height=0.2, name=None)
 
@@ -178,13 +181,6 @@ def _check_method(document: Document, path: Path) -> None:
     problems.check()
     if method is not None and vehicle is not None:
         check_vehicle(method, vehicle, own=True)
-
-
-def _validated(model: type[Model], document: Document) -> Model:
-    value, problems = check(model, document)
-    if value is None:
-        raise InputError(problems)
-    return value
 
 
 def _planning_vehicle(reference: str, document: Document, folder: Path) -> Vehicle:

@@ -60,6 +60,20 @@ def test_validation_of_a_scenario_compiles_the_maps_kernels_alone_and_says_so(
     assert err.startswith("compiling the maps' kernels for this machine, once: ")
 
 
+def test_a_file_of_another_kind_is_said_to_be_one(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (files / "yard.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    (files / "named.yaml").write_text(GOOD + "vehicle: yard.png\n")
+    expected = "expected the path of a .yaml file or the name of a"
+    for arguments, message in (
+        (["validate", "yard.png"], "yard.png: is no file that can be checked; expected the .yaml file of a scenario, "),
+        (["plan", "yard.png"], f"yard.png: is no scenario file; {expected} scenario"),
+        (["plan", "turns", "--vehicle", "yard.png"], f"yard.png: 'yard.png' is no vehicle file; {expected} vehicle"),
+        (["validate", "named.yaml"], f"named.yaml:5:10: vehicle: 'yard.png' is no vehicle file; {expected} vehicle"),
+    ):
+        assert main(arguments) == 2
+        assert capsys.readouterr().err.startswith(message)
+
+
 def test_every_bundled_file_is_valid(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["validate", *bundled.names("scenario"), *bundled.names("vehicle")]) == 0
     assert capsys.readouterr().err == ""
