@@ -140,12 +140,14 @@ def _explain_usage(terminal: Terminal, error: typer.TyperException) -> ExitStatu
 def _usage_message(error: typer.TyperException) -> str:
     """Message of an error of usage; where an option precedes the name of its command, it says so."""
     option, context = getattr(error, "option_name", None), getattr(error, "ctx", None)
-    if option is not None and context is not None and hasattr(error, "possibilities"):
-        error.possibilities = _alike(option, context)
-    if option is None or context is None or context.parent is not None or _is_misspelt(option, context):
-        return error.format_message()
+    if option is None or context is None or not hasattr(error, "possibilities"):
+        return error.format_message().replace(". Did you mean", "; did you mean")  # of commands, as of all else
+    alike = " or ".join(map(repr, _alike(option, context)))
+    message = f"No such option: {option}" + (f"; did you mean {alike}?" if alike else "")
+    if context.parent is not None or _is_misspelt(option, context):
+        return message
     if not any(_has(command, option) for command in getattr(context.command, "commands", {}).values()):
-        return error.format_message()
+        return message
     return f"No such option before the command: {option}; expected it after, as in 'kraft COMMAND {option}'"
 
 

@@ -113,11 +113,11 @@ def test_numbers_that_are_not_json_are_refused() -> None:
 @pytest.mark.parametrize(
     ("argv", "expected"),
     [
-        (["lst"], "'list'"),
-        (["validate", "--jsn", "x"], "--json"),
+        (["lst"], "'lst'; did you mean 'list'?\n"),
+        (["validate", "--jsn", "x"], "--jsn; did you mean '--json'?\n"),
         (["validate"], "'FILE'"),
         (["list", "vehicle"], "'vehicles'"),
-        (["--vision"], "--version"),
+        (["--vision"], "--vision; did you mean '--version'?\n"),
     ],
 )
 def test_wrong_usage_ends_with_2_and_a_suggestion(
