@@ -179,6 +179,20 @@ def design_of(car: CarDimensions) -> CarDesign:
     return design if car.drive is None else design.with_drive(car.drive.top_speed, car.drive.time_constant)
 
 
+def design_problem(design: CarDesign) -> tuple[str, str] | None:
+    """What keeps a car from being simulated, and what is expected; None if nothing does."""
+    if not design.sharpest_radius > design.track / 2:
+        angle = math.degrees(design.linkage * design.steering_max)
+        problem = f"turns its wheels by up to {angle:.0f} degrees, about a point between those of the rear axle"
+        return problem, "expected a smaller servo.angle_max_deg, servo.linkage or track, or a longer wheelbase"
+    if not (2 * design.wheel_radius < design.wheelbase and design.wheel_width < design.track):
+        wheels = f"{design.wheel_radius:g} m in radius and {design.wheel_width:g} m wide"
+        axles = f"a wheelbase of {design.wheelbase:g} m and a track of {design.track:g} m"
+        expected = "expected smaller ones, `wheels: {radius: ..., width: ..., mass: ...}`, or axles farther apart"
+        return f"has wheels, {wheels}, that overlap at {axles}", expected
+    return None
+
+
 def _of_scale(car: CarDesign, base: CarDesign) -> CarDesign:
     """The car with what nobody states of its size.
 

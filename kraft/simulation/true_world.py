@@ -22,7 +22,7 @@ from kraft.scenario import Scenario, Start
 from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.scenario.truth import Truth, VehicleGap
 from kraft.simulation import contacts
-from kraft.simulation.car import CAR, CarDesign, design_of
+from kraft.simulation.car import CAR, CarDesign, design_of, design_problem
 from kraft.simulation.contacts import Collision
 from kraft.simulation.floor_frame import FloorFrame, quaternion, yaw_rotation
 from kraft.simulation.robots import MjcfRobot, SimulatedCar, mjcf_robot
@@ -194,16 +194,8 @@ def _car(vehicle: Vehicle, true: TrueRobot) -> CarDesign:
     """Design of a simulated car, which turns about points beside it."""
     _check_controls(vehicle, CAR_CONTROLS, true)
     design = design_of(true.robot.car or CarDimensions())
-    if not design.sharpest_radius > design.track / 2:
-        angle = math.degrees(design.linkage * design.steering_max)
-        problem = f"turns its wheels by up to {angle:.0f} degrees, about a point between those of the rear axle"
-        expected = "expected a smaller servo.angle_max_deg, servo.linkage or track, or a longer wheelbase"
-        raise InputError([true.problem("car", problem, expected, Code.GEOMETRY)])
-    if not (2 * design.wheel_radius < design.wheelbase and design.wheel_width < design.track):
-        wheels = f"{design.wheel_radius:g} m in radius and {design.wheel_width:g} m wide"
-        problem = f"has wheels, {wheels}, that overlap at a wheelbase of {design.wheelbase:g} m and a track of "
-        expected = "expected smaller ones, `wheels: {radius: ..., width: ..., mass: ...}`, or axles farther apart"
-        raise InputError([true.problem("car", problem + f"{design.track:g} m", expected, Code.GEOMETRY)])
+    if (found := design_problem(design)) is not None:
+        raise InputError([true.problem("car", *found, Code.GEOMETRY)])
     return design
 
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from kraft.config import bundled
 from kraft.config.document import Document
-from kraft.config.schema import valid
+from kraft.config.schema import check, valid
 from kraft.config.yaml_reader import read_document
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, MissingError, Problems, Unreachable
@@ -32,6 +32,7 @@ from kraft.trial.planning_vehicle import check_own_robot, check_robot
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import configured, load_vehicle, read_vehicle_file
 from kraft.vehicles.reference import is_code
+from kraft.vehicles.true_robot import CarDimensions
 from ompl_ext.cache_error import CacheError
 from ompl_ext.vehicle import Vehicle
 
@@ -147,8 +148,7 @@ def _check_as(kind: FileKind, document: Document, path: Path, report: Callable[[
     if kind == "scenario":
         _check_scenario(scenario_from(document, path.parent), report)
     elif kind == "vehicle":
-        configured(read_vehicle_file(path))
-        check_own_robot(load_vehicle(str(path)))
+        _check_vehicle(document, path)
     elif kind == "method":
         _check_method(document, path)
     elif kind == "suite":
@@ -169,6 +169,34 @@ def _check_scenario(scenario: Scenario, report: Callable[[str], None]) -> None:
     check_placement(task, vehicle, start_state(task, vehicle))
     check_robot(scenario, vehicle)
     check_reachable(task, vehicle)
+
+
+def _check_vehicle(document: Document, path: Path) -> None:
+    """Check a vehicle file, and the car that it states as its true robot also if another key is wrong."""
+    problems = Problems()
+    if problems.of(lambda: configured(read_vehicle_file(path))) is None:
+        problems.of(lambda: _check_car(document))
+    problems.check()
+    check_own_robot(load_vehicle(str(path)))
+
+
+def _check_car(document: Document) -> None:
+    """Check the dimensions of a simulated car; those that the schema refuses are reported already.
+
+    Raises:
+        InputError: if it cannot be simulated.
+    """
+    truth = document.data.get("truth") if isinstance(document.data, dict) else None
+    content = truth.get("car") if isinstance(truth, dict) else None
+    if not isinstance(content, dict):
+        return
+    car, _ = check(CarDimensions, Document(content, document.source))
+    if car is None:
+        return
+    from kraft.simulation.car import design_of, design_problem  # loads the simulator
+
+    if (found := design_problem(design_of(car))) is not None:
+        raise InputError([document.source.diagnostic(("truth", "car"), *found, code=Code.GEOMETRY)])
 
 
 def _check_method(document: Document, path: Path) -> None:

@@ -74,6 +74,16 @@ def test_a_file_of_another_kind_is_said_to_be_one(files: Path, capsys: pytest.Ca
         assert capsys.readouterr().err.startswith(message)
 
 
+def test_the_car_of_a_vehicle_file_is_checked_beside_its_other_keys(
+    files: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = "name: m\nmodel: kraft.vehicles.mushr:MUSHR\nparameters: {L: {value: 0.3}}\n"
+    text += "footprint: {length: 0.4, width: 0.3}\ntop_speed: 1\ntruth: {car: {track: 0.03}}\n"
+    (files / "m.yaml").write_text(text)
+    assert main(["validate", "m.yaml"]) == 2
+    assert places(capsys.readouterr().err)[:2] == ["m.yaml:3:14", "m.yaml:6:14"]
+
+
 def test_every_bundled_file_is_valid(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["validate", *bundled.names("scenario"), *bundled.names("vehicle")]) == 0
     assert capsys.readouterr().err == ""
