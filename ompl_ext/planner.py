@@ -113,9 +113,15 @@ class DIRT(ob.Planner):
     def retain(self, path: oc.PathControl, elapsed: float = 0.0) -> None:
         """Begin the next query with the remainder of `path` after `elapsed` s, propagated from the new start.
 
+        The property `retained` tells after `solve` how many edges were kept.
+
         Raises:
+            TypeError: `path` is no path with controls.
             ValueError: `elapsed` or a duration of the path is negative or not finite.
         """
+        if not isinstance(path, oc.PathControl):
+            expected = "expected an ompl.control.PathControl, such as setup.getSolutionPath()"
+            raise TypeError(f"DIRT: retain() got a {type(path).__name__}; {expected}")
         if not 0.0 <= elapsed < math.inf:
             raise ValueError(f"elapsed is {elapsed}; expected the seconds since the start of the path, 0 or more")
         layout = ControlLayout(self.getSpaceInformation().getControlSpace())
@@ -127,7 +133,14 @@ class DIRT(ob.Planner):
         self._retained = _Retained(*remaining_edges(controls, durations, elapsed))
 
     def retain_tree(self, tree: TreeView) -> None:
-        """Begin the next query with the edges of an earlier tree below its first start, from the new start."""
+        """Begin the next query with the edges of an earlier tree below its first start, from the new start.
+
+        Raises:
+            TypeError: `tree` is no tree.
+        """
+        if not isinstance(tree, TreeView):
+            expected = "expected what tree() of a planner returns"
+            raise TypeError(f"DIRT: retain_tree() got a {type(tree).__name__}; {expected}")
         parents, controls, durations = tree.edges_of_first_root()
         self._retained = _Retained(parents, controls, durations)
 
@@ -223,6 +236,11 @@ class DIRT(ob.Planner):
     def edges(self) -> int:
         """Edges propagated and checked since the last `clear`."""
         return self._search.count(at.EDGES) if self._search is not None else 0
+
+    @property
+    def retained(self) -> int:
+        """Edges of an earlier plan or tree with which the tree began; known after `solve`."""
+        return self._search.count(at.RETAINED) if self._search is not None else 0
 
     @property
     def iterations(self) -> int:

@@ -254,6 +254,15 @@ def test_settings_and_objectives_without_effect_are_reported(monkeypatch: pytest
     assert len(said) == 3
 
 
+def test_what_is_no_path_and_no_tree_is_not_retained() -> None:
+    planner = DIRT(point())
+    for given in ("x", None):
+        with pytest.raises(TypeError, match=r"expected an ompl\.control\.PathControl"):
+            planner.retain(given, 1.0)
+        with pytest.raises(TypeError, match=r"expected what tree\(\) of a planner returns"):
+            planner.retain_tree(given)
+
+
 def test_an_empty_path_retains_nothing_and_a_time_before_it_is_refused() -> None:
     si = point()
     planner = planner_for(si, Region(si, to_the_right))

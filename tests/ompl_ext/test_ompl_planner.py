@@ -175,6 +175,7 @@ def test_an_edge_of_a_path_with_a_control_beyond_the_bounds_is_not_retained(call
     planner.retain(path)
     planner.solve(ob.plannerAlwaysTerminatingCondition())
     assert len(planner.tree().parents) == 2  # the root and the first edge
+    assert planner.retained == 1
 
 
 def test_a_tree_can_be_retained_from_a_moved_root() -> None:
@@ -185,6 +186,7 @@ def test_a_tree_can_be_retained_from_a_moved_root() -> None:
     planner.retain_tree(tree)
     planner.solve(ob.plannerAlwaysTerminatingCondition())
     assert len(planner.tree().parents) == len(tree.parents)
+    assert planner.retained == len(tree.parents) - 1
 
 
 def test_parameters_have_ranges_refuse_what_is_outside_and_suggest_names() -> None:
