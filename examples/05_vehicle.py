@@ -25,3 +25,6 @@ VEHICLE = Vehicle(
     footprint=Footprint(length=0.5, width=0.36),
     top_speed=0.6,
 )
+
+if __name__ == "__main__":
+    print(f"{VEHICLE.name} is planned with by: kraft plan turns --vehicle {__file__}:VEHICLE")

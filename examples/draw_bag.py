@@ -100,4 +100,6 @@ def main(bag_file: str, picture: str, time: float) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 4 or not Path(sys.argv[1]).exists():
+        sys.exit("expected a bag that exists, a picture and a time in s, as in: draw_bag.py run.mcap run.png 7.5")
     main(sys.argv[1], sys.argv[2], float(sys.argv[3]))

@@ -16,6 +16,7 @@ from kraft.config import bundled
 from kraft.errors import InputError, MissingAsset, MissingDependency
 from kraft.files import check_writable
 from kraft.gl import BACKENDS
+from kraft.provenance import install_command
 from kraft.text import counted
 from ompl_ext.cores import usable_cores
 
@@ -42,15 +43,15 @@ REQUIRED: Final[dict[str, str]] = {
 }
 """Each required package, and the module whose import is tested."""
 
-OPTIONAL: Final[dict[str, tuple[str, str]]] = {
-    "distributed": ("distributed", "spreads `kraft eval` over a Dask cluster"),
-    "cyclonedds": ("cyclonedds.domain", "`transport: {kind: ros2}` of robots"),
-    "websockets": ("websockets.sync.client", "`transport: {kind: rosbridge}` of robots"),
-    "casadi": ("casadi", "controllers `nmpc`, as of the methods nmpc and kraft-nmpc"),
-    "dynobench": ("dynobench", "lets its own package judge plans in `python -m benchmarks goals`"),
-    "opencv-python-headless": ("cv2", "detects tags in rendered frames (`sensing.preset: rendered`)"),
+OPTIONAL: Final[dict[str, tuple[str, str, str]]] = {
+    "distributed": ("distributed", "cluster", "spreads `kraft eval` over a Dask cluster"),
+    "cyclonedds": ("cyclonedds.domain", "ros2", "`transport: {kind: ros2}` of robots"),
+    "websockets": ("websockets.sync.client", "rosbridge", "`transport: {kind: rosbridge}` of robots, such as `sim`"),
+    "casadi": ("casadi", "mpc", "controllers `nmpc`, as of the methods nmpc and kraft-nmpc"),
+    "dynobench": ("dynobench", "dynobench", "lets its own package judge plans in `python -m benchmarks goals`"),
+    "opencv-python-headless": ("cv2", "vision", "detects tags in rendered frames (`sensing.preset: rendered`)"),
 }
-"""Each optional package: the module to import, and its purpose."""
+"""Each optional package: the module to import, the extra that installs it, and its purpose."""
 
 _GL_TRIAL: Final = "from kraft.gl import offscreen_context; offscreen_context(16, 16)"
 
@@ -111,9 +112,10 @@ def _package(name: str, module: str) -> Finding:
         return Finding(name, "missing", str(error))
 
 
-def _extra(name: str, module: str, purpose: str) -> Finding:
+def _extra(name: str, module: str, extra: str, purpose: str) -> Finding:
     finding = _package(name, module)
-    return finding if finding.state == "ok" else Finding(name, "note", f"not installed; {purpose}")
+    missing = f"not installed; {purpose}; extra {extra}: {install_command(extra)}"
+    return finding if finding.state == "ok" else Finding(name, "note", missing)
 
 
 def _processor() -> Finding:

@@ -15,6 +15,7 @@ from support.evaluation import places
 from support.paths import ROOT
 
 from kraft.config import bundled
+from kraft.provenance import install_command
 from kraft.scenario.planning import PLANNERS
 from kraft_cli.main import main
 from kraft_cli.work import doctor as environment
@@ -278,8 +279,18 @@ def test_the_doctor_looks_at_every_required_package() -> None:
 
 def test_the_doctor_looks_at_the_packages_of_every_extra() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    names = {re.split(r"[\[<>=; ]", each)[0] for extra, each_of in extras.items() if extra != "dev" for each in each_of}
-    assert names <= set(environment.OPTIONAL)
+    named = [(extra, each) for extra, each_of in extras.items() if extra != "dev" for each in each_of]
+    extra_of = {re.split(r"[\[<>=; ]", each)[0]: extra for extra, each in named}
+    assert extra_of == {name: extra for name, (_, extra, _) in environment.OPTIONAL.items()}
+
+
+def test_the_doctor_names_the_extra_of_a_missing_package(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    monkeypatch.setattr(environment, "examine", lambda: [environment._extra("casadi", *environment.OPTIONAL["casadi"])])
+    assert main(["doctor"]) == 0
+    assert f"extra mpc: {install_command('mpc')}" in " ".join(capsys.readouterr().out.split())
 
 
 def test_the_doctor_ends_with_3_when_something_required_is_missing(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -59,6 +60,17 @@ def test_the_vehicle_of_the_example_plans(capsys: pytest.CaptureFixture[str]) ->
     vehicle = f"{ROOT / 'examples' / '05_vehicle.py'}:VEHICLE"
     assert main(["plan", "turns", "--vehicle", vehicle, "--iterations", "2000"]) == 0
     assert "skid-steer" in capsys.readouterr().out
+
+
+def test_the_vehicle_of_the_example_says_how_it_is_used() -> None:
+    assert "kraft plan turns --vehicle " in output_of(ROOT / "examples" / "05_vehicle.py")
+
+
+def test_a_bag_that_does_not_exist_is_one_line() -> None:
+    command = [sys.executable, str(ROOT / "examples" / "draw_bag.py"), "nothere.mcap", "x.png", "1"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert re.fullmatch(r"expected a bag that exists, .*\n", done.stderr)
 
 
 def test_every_numbered_example_is_run() -> None:
