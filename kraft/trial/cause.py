@@ -13,12 +13,15 @@ from kraft.driving.messages import ContingencyOrigin, Cycle, ReferenceKind, as_d
 from kraft.scenario import Goal
 from kraft.text import counted, finite
 from kraft.trial.measures import Record, Step, farthest_point
+from kraft.trial.planning_vehicle import UNCOVERED
 from ompl_ext.arrays import Matrix
 from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.vehicle import Footprint
 
 WINDOW: Final = 10.0
 """Time before a timeout over which its cause is looked for, s; a third of the trial if that is longer."""
+RECENT: Final = 1.0
+"""Time before a collision in which the errors of the estimates count that the controller steered by, s."""
 STANDS: Final = 0.25
 """Extent of the motion within that time up to which a car counts as stuck, m."""
 
@@ -34,6 +37,11 @@ class CauseKind(StrEnum):
         kind._value_, kind.meaning = value, meaning
         return kind
 
+    UNCOVERED = (
+        "footprint too small",
+        "a part of the robot that the footprint does not cover touched the obstacle: the footprint itself was farther "
+        f"from every obstacle than {UNCOVERED:.0%} of its width",
+    )
     MESSAGE_LOST = "message lost", "the car did not get the message of the cycle, or its watchdog had stopped it"
     DEADLINE_MISSED = "deadline missed", "planning took longer than the cycle minus its lead, in a trial by the clock"
     CONTINGENCY_TOO_LATE = (
@@ -44,7 +52,7 @@ class CauseKind(StrEnum):
     ESTIMATE_WRONG = (
         "estimate wrong",
         "the car was farther from the prediction than the clearance δ(v) or the obstacle allowed, and at least half of "
-        "that was an error of its estimated pose",
+        "that was an error of the estimated pose that it was planned or steered by",
     )
     DEVIATION = (
         "deviation",
@@ -65,8 +73,9 @@ class Cause(Record):
 
 
 def collision_cause(
-    cycles: Sequence[Cycle], steps: Sequence[Step], footprint: Footprint, pose: Sequence[int], *, realtime: bool
-) -> Cause:
+    cycles: Sequence[Cycle], steps: Sequence[Step], footprint: Footprint, pose: Sequence[int], *,
+    distance: float, feedback: bool, realtime: bool,
+) -> Cause:  # fmt: skip
     """Cause of a collision right after the last of the `steps`.
 
     Args:
@@ -74,8 +83,13 @@ def collision_cause(
         steps: its ticks of the controller, at least one.
         footprint: footprint of the planner's vehicle.
         pose: indices of x, y and theta in its state.
+        distance: true distance of this footprint to the nearest obstacle at the collision, m.
+        feedback: whether the controller uses estimates, instead of sending the planned controls as they are.
         realtime: whether planning was limited by the clock.
     """
+    if distance > UNCOVERED * footprint.width:
+        text = "a part of the robot touched the obstacle that its footprint does not cover, which was"
+        return Cause(kind=CauseKind.UNCOVERED, text=f"{text} {distance:.3f} m from every obstacle")
     last = steps[-1]
     k = max((k for k, cycle in enumerate(cycles) if cycle.time <= last.time + 1e-9), default=0)
     sent, cycle = cycles[k], as_driven(cycles)[k]
@@ -96,10 +110,12 @@ def collision_cause(
         kind = CauseKind.CONTINGENCY_TOO_LATE if contingency else CauseKind.UNSAFE_PLAN
         near = f"the prediction of cycle {cycle.number} comes within {max(cycle.clearance, 0.0):.3f} m of an obstacle"
         return Cause(kind=kind, text=f"{near}, and the car was {deviation:.3f} m from it")
-    error = max(estimate_errors(steps, footprint, pose, since=min(cycle.decided, last.time)), default=0.0)
+    error = _error_of_guidance(cycle, steps, footprint, pose, feedback=feedback)
     text = f"the car was {deviation:.3f} m from the prediction"
     if allowed is not None:
         text += f", where {allowed:.3f} m were allowed"
+    if error is None:
+        return Cause(kind=CauseKind.DEVIATION, text=f"{text}, and no estimated pose had a part in its commands")
     kind = CauseKind.ESTIMATE_WRONG if error >= deviation / 2.0 else CauseKind.DEVIATION
     return Cause(kind=kind, text=f"{text}, and its estimated pose was wrong by {error:.3f} m")
 
@@ -168,6 +184,24 @@ def estimate_errors(
     estimated = np.array([step.estimate[list(pose)] for step in steps])[kept]
     errors: list[float] = farthest_point(there, estimated, footprint).tolist()
     return errors
+
+
+def _error_of_guidance(
+    cycle: Cycle, steps: Sequence[Step], footprint: Footprint, pose: Sequence[int], *, feedback: bool
+) -> float | None:
+    """Error of the estimated poses that the car was planned and steered by until the last step, m; None without any.
+
+    A plan begins at one estimate, however long ago.  A controller steers by all of them, and soon makes up for an error
+    that has passed: of these the median since the decision of the cycle counts, of the last `RECENT` s at most.
+    """
+    decided, end = min(cycle.decided, steps[-1].time), steps[-1].time
+    errors = []
+    if cycle.number > 0:  # the first plan begins at the start that was given
+        errors.append(estimate_errors(steps, footprint, pose, since=decided)[0])
+    if feedback:
+        recent = estimate_errors(steps, footprint, pose, since=max(decided, end - RECENT))
+        errors.append(float(np.median(recent)))
+    return max(errors, default=None)
 
 
 def _unfinished_plan(cycle: Cycle, steps: Sequence[Step], footprint: Footprint, pose: Sequence[int]) -> Cause:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from kraft.driving.control import make_controller
+from kraft.driving.control_settings import OpenLoop
 from kraft.driving.estimation import Estimator, make_estimator
 from kraft.driving.messages import Commitment, Cycle, Observation
 from kraft.driving.method import Oracle
@@ -137,7 +138,9 @@ class _Trial:
         self._errors: list[tuple[Floats, Matrix]] = []  # of poses, with the covariances that the estimator stated
         once = method.planner.mode == "one-shot"
         self._limit = scenario.trial.oneshot_timeout if once else scenario.trial.timeout
-        self.approach = ClosestApproach(solvers.checking.exact.distance, vehicle.footprint.reach)
+        self._feedback = not isinstance(method.controller, OpenLoop)
+        self._exact = solvers.checking.exact
+        self.approach = ClosestApproach(self._exact.distance, vehicle.footprint.reach)
 
     @property
     def outcome(self) -> Outcome | None:
@@ -221,7 +224,8 @@ class _Trial:
             return None
         of = log.cycles, log.steps, self._model.vehicle.footprint, self._model.pose
         if outcome is Outcome.COLLISION:
-            return collision_cause(*of, realtime=self._realtime)
+            distance = self._exact.distance(*self._true_pose)
+            return collision_cause(*of, distance=distance, feedback=self._feedback, realtime=self._realtime)
         if self.world.frame.has_turned_over(self.world.marker[1]):
             return Cause(kind=CauseKind.STUCK, text="the robot has turned over: it lies on its side or its roof")
         return timeout_cause(*of, self._goal, realtime=self._realtime)

@@ -11,7 +11,7 @@ import pytest
 
 from kraft.driving.messages import ContingencyOrigin, Cycle, PredictedMotion, Reference, ReferenceKind
 from kraft.scenario import Goal
-from kraft.trial.cause import CauseKind, collision_cause, estimate_errors, timeout_cause
+from kraft.trial.cause import Cause, CauseKind, collision_cause, estimate_errors, timeout_cause
 from kraft.trial.measures import Step
 from ompl_ext.vehicle import Footprint
 
@@ -49,8 +49,14 @@ def steps(
     return found
 
 
-def collided(cycles: list[Cycle], ticks: list[Step], realtime: bool = False) -> CauseKind:
-    return collision_cause(cycles, ticks, FOOTPRINT, POSE, realtime=realtime).kind
+def cause_of(
+    cycles: list[Cycle], ticks: list[Step], *, distance: float = 0.0, feedback: bool = True, realtime: bool = False
+) -> Cause:
+    return collision_cause(cycles, ticks, FOOTPRINT, POSE, distance=distance, feedback=feedback, realtime=realtime)
+
+
+def collided(cycles: list[Cycle], ticks: list[Step], **options: Any) -> CauseKind:
+    return cause_of(cycles, ticks, **options).kind
 
 
 def timed_out(cycles: list[Cycle], ticks: list[Step], realtime: bool = False) -> CauseKind:
@@ -79,13 +85,48 @@ def test_delta_is_what_a_deviation_is_compared_with_where_the_method_asks_for_on
     wide = replace(cycle(1).predicted, delta=np.full(11, 0.6))
     assert collided([cycle(0), cycle(1, predicted=wide)], steps(1.9, aside=0.5)) == CauseKind.UNSAFE_PLAN
     narrow = replace(wide, delta=np.full(11, 0.02))
-    found = collision_cause(
-        [cycle(0), cycle(1, predicted=narrow)], steps(1.9, aside=0.5), FOOTPRINT, POSE, realtime=False
-    )
+    found = cause_of([cycle(0), cycle(1, predicted=narrow)], steps(1.9, aside=0.5))
     assert found.kind == CauseKind.DEVIATION
     assert found.text == (
         "the car was 0.500 m from the prediction, where 0.020 m were allowed, and its estimated pose was wrong by 0.000 m"
     )
+
+
+def wrong_at(ticks: list[Step], time: float, error: float) -> list[Step]:
+    """The ticks with an error of the estimate at the one at a time, to the side."""
+    off = np.array([0.0, error, 0.0, 0.0])
+    return [replace(step, estimate=step.estimate + off) if abs(step.time - time) < 1e-6 else step for step in ticks]
+
+
+def test_an_error_of_the_estimate_that_has_passed_is_not_the_cause_of_a_deviation() -> None:
+    times = np.linspace(0.0, 4.0, 41)
+    states = np.column_stack([times, np.zeros((41, 3))])
+    plan = Reference(PLAN, times, states, np.zeros((40, 2)), np.zeros(2))
+    once, ticks = [cycle(0, reference=plan, decided=-math.inf)], steps(3.9, aside=0.5)
+    assert collided(once, wrong_at(ticks, 2.0, 0.7)) == CauseKind.DEVIATION
+    assert cause_of(once, wrong_at(ticks, 2.0, 0.7)).text.endswith("its estimated pose was wrong by 0.000 m")
+    assert collided(once, steps(3.9, aside=0.5, wrong=0.4)) == CauseKind.ESTIMATE_WRONG
+
+
+def test_the_one_estimate_that_a_later_cycle_was_planned_from_is_its_cause() -> None:
+    ticks = wrong_at(steps(1.9, aside=0.5), 1.0, 0.4)
+    for feedback in (True, False):
+        assert collided([cycle(0), cycle(1)], ticks, feedback=feedback) == CauseKind.ESTIMATE_WRONG
+    assert collided([cycle(0)], wrong_at(ticks, 0.0, 0.4), feedback=False) == CauseKind.DEVIATION  # from the start
+
+
+def test_commands_that_use_no_estimate_are_not_led_astray_by_one() -> None:
+    found = cause_of([cycle(0)], steps(1.9, aside=0.5, wrong=0.4), feedback=False)
+    assert found.kind == CauseKind.DEVIATION
+    assert found.text.endswith("and no estimated pose had a part in its commands")
+
+
+def test_a_contact_beyond_the_footprint_is_that_of_a_part_that_it_does_not_cover() -> None:
+    cycles, ticks = [cycle(0), cycle(1, delivered=False)], steps(1.9, aside=0.5, wrong=0.4)
+    found = cause_of(cycles, ticks, distance=0.253)
+    assert found.kind == CauseKind.UNCOVERED
+    assert found.text.endswith("its footprint does not cover, which was 0.253 m from every obstacle")
+    assert collided(cycles, ticks, distance=0.01) == CauseKind.MESSAGE_LOST
 
 
 def test_a_missed_deadline_counts_only_by_the_clock() -> None:

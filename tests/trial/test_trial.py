@@ -16,6 +16,7 @@ from kraft.driving.messages import Cycle, ReferenceKind, as_driven
 from kraft.driving.method import PlannerSettings, load_method
 from kraft.scenario import load_scenario
 from kraft.simulation.world import World
+from kraft.trial.cause import CauseKind
 from kraft.trial.plant import Radio
 from kraft.trial.result import Outcome, Step, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
@@ -315,3 +316,27 @@ def test_nothing_is_identified_from_the_time_in_which_something_held_the_vehicle
     assert held == left_out
     assert held
     assert all(end - begin >= 2.0 for begin, end in held)
+
+
+def bundled(method: str, settings: dict[str, object]) -> TrialSpec:
+    """Spec of `boxes` with keys that are set."""
+    found = load_method(method)
+    return TrialSpec(load_scenario("boxes", settings), found, load_vehicle(found.planner.vehicle or "mushr"), 0)
+
+
+def test_a_true_car_beyond_its_footprint_collides_where_the_footprint_does_not() -> None:
+    car = {"truth.car": {"length": 0.9, "width": 0.5, "wheelbase": 0.6}, "start.y": -0.4}
+    result = run_trial(bundled("kraft", car))
+    assert result.outcome is Outcome.COLLISION
+    assert result.min_clearance > 0.1
+    assert result.cause is not None
+    assert result.cause.kind is CauseKind.UNCOVERED
+
+
+def test_a_single_plan_that_is_sent_open_loop_never_collides_because_of_an_estimate() -> None:
+    noisy = {"sensing.noise_scale": 20.0}
+    for method, kind in (("oneshot-openloop", CauseKind.DEVIATION), ("oneshot-geometric", CauseKind.ESTIMATE_WRONG)):
+        result = run_trial(bundled(method, noisy))
+        assert result.outcome is Outcome.COLLISION
+        assert result.cause is not None
+        assert result.cause.kind is kind
