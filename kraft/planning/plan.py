@@ -14,6 +14,7 @@ from kraft.errors import Defect
 from kraft.planning.feasibility import UNREACHABLE, check_placement, reachable
 from kraft.planning.search import (
     Budget,
+    OnProgress,
     Previous,
     SearchResult,
     check_previous,
@@ -101,6 +102,7 @@ def plan_task(
     seed: int = 0,
     previous: Previous | None = None,
     threads: int = 1,
+    on_progress: OnProgress | None = None,
 ) -> PlanResult:
     """Plan to the goal from the start of the task, or from a state of a previous plan.
 
@@ -111,6 +113,7 @@ def plan_task(
         seed: the same seed, iterations and threads give the same plan, bit for bit.
         previous: earlier plan to start from and to retain.
         threads: number of trees that are grown at the same time and share the best cost; only with DIRT.
+        on_progress: receives what the search has done so far, many times a second; not of OMPL's own planners.
 
     Raises:
         InputError: if start or goal is in collision or out of bounds, the previous plan is not of this vehicle,
@@ -142,7 +145,7 @@ def plan_task(
     setup_seconds = clock.perf_counter() - began
     budget = budget or budget_of(task)
     reason = _infeasible_start(dirt, state, slack)
-    found = SearchResult(None, dirt.progress) if reason else search(dirt, state, budget, seed, previous)
+    found = SearchResult(None, dirt.progress) if reason else search(dirt, state, budget, seed, previous, on_progress)
     began = clock.perf_counter()
     verification = verify(dirt, found.plan) if found.plan is not None else None
     verify_seconds = clock.perf_counter() - began

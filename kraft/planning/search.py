@@ -89,8 +89,14 @@ class SearchResult:
     promises_safety: bool = True
 
 
-Search = Callable[[DirtSolver, Floats, Budget, int, Previous | None], SearchResult]
-"""Search from a state with a budget and a seed.  The solver has the query and was started in the state."""
+OnProgress = Callable[[Progress], None]
+"""Receives what a search has done so far, many times a second; it does not change the search."""
+
+Search = Callable[[DirtSolver, Floats, Budget, int, Previous | None, OnProgress | None], SearchResult]
+"""Search from a state with a budget and a seed.  The solver has the query and was started in the state.
+
+OMPL's own planners report no progress.
+"""
 
 
 def search_named(planner: str) -> Search:
@@ -141,15 +147,34 @@ def check_previous(planner: str, previous: Previous | None, vehicle: Vehicle) ->
     previous.check(vehicle)
 
 
-def _tree_search(dirt: DirtSolver, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:
+def _tree_search(
+    dirt: DirtSolver,
+    state: Floats,
+    budget: Budget,
+    seed: int,
+    previous: Previous | None,
+    on_progress: OnProgress | None,
+) -> SearchResult:
+    def report_and_go_on() -> bool:
+        if on_progress is not None:
+            on_progress(dirt.progress)
+        return False
+
     if previous is not None:
         dirt.retain(previous.plan, previous.elapsed)
-    progress = dirt.grow(iterations=budget.iterations, seconds=budget.seconds)
+    progress = dirt.grow(iterations=budget.iterations, seconds=budget.seconds, stop=report_and_go_on)
     return SearchResult(dirt.plan(), progress)
 
 
 def _ompl_search(name: str) -> Search:
-    def search(dirt: DirtSolver, state: Floats, budget: Budget, seed: int, previous: Previous | None) -> SearchResult:
+    def search(
+        dirt: DirtSolver,
+        state: Floats,
+        budget: Budget,
+        seed: int,
+        previous: Previous | None,
+        on_progress: OnProgress | None,
+    ) -> SearchResult:
         from ompl_ext.peers import plan_with_ompl
 
         assert previous is None, "otherwise it was refused"

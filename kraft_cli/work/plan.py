@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time as clock
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,10 +26,30 @@ from kraft.vehicles.load import load_vehicle
 from kraft_cli.work.parameters import parse_parameters
 from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
 from ompl_ext.memory import in_words
+from ompl_ext.query_tree import Progress
 from ompl_ext.vehicle import Vehicle
 
 PARAMETERS_MAX = 12  # of a vehicle, up to which those that are 0 are printed too; -v prints them all
 MUCH_MEMORY = 1_000_000_000  # bytes of maps from which on the need of memory is reported without -v too
+
+
+SIGN_OF_LIFE = 5.0  # s between two lines about a long search
+
+
+class SignOfLife:
+    """Reports what a long search has done so far, a line every `SIGN_OF_LIFE` s."""
+
+    def __init__(self, report: Callable[[str], None]) -> None:
+        self._report, self._told = report, clock.monotonic()
+
+    def tell(self, progress: Progress) -> None:
+        """Report the progress if a line is due."""
+        if clock.monotonic() < self._told + SIGN_OF_LIFE:
+            return
+        self._told = clock.monotonic()
+        work = f"{grouped(progress.iterations, 'iteration')}, {grouped(progress.nodes, 'node')}"
+        found = f"a plan of {progress.history[-1][1]:.2f} s" if progress.history else "no plan to the goal yet"
+        self._report(f"  {progress.seconds:.0f} s: {work}, {found}")
 
 
 @dataclass(frozen=True)
@@ -112,7 +133,10 @@ def run_plan(
         report(f"warning: {warning}")
     needed = memory_needed(task, vehicle)
     (report if needed >= MUCH_MEMORY else detail)(f"the maps need at most {in_words(needed)} of memory")
-    result = plan_task(task, vehicle, seed=request.seed, previous=previous, threads=request.threads)
+    result = plan_task(
+        task, vehicle, seed=request.seed, previous=previous, threads=request.threads,
+        on_progress=SignOfLife(report).tell,
+    )  # fmt: skip
     timer.report("planned, with maps and verification,")
     replaced = False
     if target is not None and result.plan is not None:

@@ -273,6 +273,25 @@ def test_what_needs_no_kernel_is_checked_before_anything_is_compiled(
     assert capsys.readouterr().err.startswith(expected)
 
 
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_a_long_search_tells_what_it_has_done_and_its_plan_is_the_same(
+    threads: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["plan", "room.yaml", "--iterations", "3000", "--threads", threads, "--out"]
+    assert main([*arguments, "a"]) == 0
+    assert " iterations, " not in capsys.readouterr().err
+    monkeypatch.setattr("kraft_cli.work.plan.SIGN_OF_LIFE", 0.0)
+    assert main([*arguments, "b"]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    told = r"  0 s: [\d,]+ iterations?, [\d,]+ nodes?, (a plan of \d+\.\d\d s|no plan to the goal yet)"
+    assert len(lines) > 1
+    assert all(re.fullmatch(told, line) for line in lines)
+    assert "a plan of" in lines[-1]
+    assert main([*arguments, "c", "-q"]) == 0
+    assert capsys.readouterr().err == ""
+    assert len({(tmp_path / name / "plan.json").read_bytes() for name in "abc"}) == 1
+
+
 def test_two_threads_share_the_iterations_and_write_the_same_plan_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
