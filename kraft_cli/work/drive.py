@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -39,6 +39,8 @@ from ompl_ext.vehicle import Vehicle
 
 DRIVE_SCHEMA: Final = "kraft.drive/1"
 MANIFEST: Final = "manifest.json"
+LEARNED_SHOWN: Final = 2
+"""Parameters that the line of a cycle names at most."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,9 @@ def drive_robot(
         with Display(spec, bag) as display:
 
             def on_cycle(cycle: Cycle) -> None:
-                report(cycle_line(cycle) + "".join(map(_status, newest)) + _learned(cycle, spec))
+                known = () if cycle.parameters is None else cycle.parameters.tolist()
+                learned = learned_text(known, spec.vehicle.parameters) if known else ""
+                report(cycle_line(cycle) + "".join(map(_status, newest)) + learned)
                 display.show(cycle)
 
             result = drive(
@@ -261,17 +265,17 @@ def methods_for_robots() -> tuple[str, ...]:
     return tuple(found)
 
 
-def _learned(cycle: Cycle, spec: DriveSpec) -> str:
-    """What the vehicle has learned about itself, as far as it differs from the file by a tenth."""
-    if cycle.parameters is None:
-        return ""
-    before = spec.vehicle.parameters
-    changed = [
-        f"{name} {float(value):.3g}"
-        for (name, old), value in zip(before.items(), cycle.parameters, strict=True)
-        if abs(float(value) - old) > 0.1 * max(abs(old), 0.05)
-    ]
-    return f"  learned {', '.join(changed)}" if changed else ""
+def learned_text(parameters: Sequence[float], before: Mapping[str, float]) -> str:
+    """The parameters that differ most from those of the file, of all that do by a tenth; empty if none does."""
+    changes = {
+        name: (abs(float(value) - old) / max(abs(old), 0.05), float(value))
+        for (name, old), value in zip(before.items(), parameters, strict=True)
+    }
+    most = sorted((name for name in changes if changes[name][0] > 0.1), key=lambda name: -changes[name][0])
+    shown = [f"{name} {changes[name][1]:.3g}" for name in most[:LEARNED_SHOWN]]
+    if len(most) > len(shown):
+        shown.append(counted(len(most) - len(shown), "other"))
+    return f"  learned {', '.join(shown)}" if shown else ""
 
 
 def _manifest(request: DriveRequest, spec: DriveSpec) -> dict[str, Any]:

@@ -218,6 +218,13 @@ def test_the_car_stands_while_its_newest_map_cannot_be_used(tmp_path: Path) -> N
         assert rig.until(lambda: abs(rig.world.world.speed) > 0.15, 20.0)
 
 
+def test_the_line_of_a_cycle_names_the_two_parameters_that_were_learned_most() -> None:
+    before = {"a": 1.0, "b": 2.0, "c": 0.0, "d": 4.0}
+    assert work.learned_text([1.05, 2.0, 0.004, 4.1], before) == ""
+    assert work.learned_text([1.2, 2.0, 0.004, 4.1], before) == "  learned a 1.2"
+    assert work.learned_text([1.2, 3.0, 0.02, 8.0], before) == "  learned d 8, b 3, 2 others"
+
+
 def test_a_robot_that_is_elsewhere_is_not_moved(tmp_path: Path) -> None:
     with Rig(tmp_path, arguments=("--set", "start.x=0.1", "--set", "start.y=3.5")) as rig:
         out, errors = rig.process.communicate(timeout=120)
