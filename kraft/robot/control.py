@@ -29,7 +29,7 @@ from kraft.robot.guard import SILENCE
 from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
 from kraft.robot.journal import Journal, headings
-from kraft.robot.peers import PeerWatch
+from kraft.robot.peers import PeerWatch, wait_for_another
 from kraft.robot.poses import Clocks
 from kraft.robot.priority import (
     leave_signals_to_planner,
@@ -134,10 +134,11 @@ def run_control(
             ended = Ended("stopped" if mailbox.closed else "interrupted", order.reason, 0.0)
             mailbox.send(ended).wait(REPORT_TIME)
         elif isinstance(order, Begin) and found.passed:
+            before = transport.peers(spec.robot.command.topic).publishers
             guard_mail.send(order)
             warm_up(spec)
             tracker = Tracker(spec, order, transport, inputs)
-            _wait_for_guard(spec, transport, guard_mail)
+            _wait_for_guard(spec, transport, guard_mail, before)
             health = Health(spec.robot.watchdog, min(found.pose_rate, spec.robot.pose.rate_hz), spec.period)
             with Journal(spec.folder, headings(spec.vehicle)) as journal:
                 ended = Control(spec, transport, inputs, tasks, mailbox, guard_mail, journal, tracker, health).run()
@@ -148,13 +149,11 @@ def run_control(
         transport.close()
 
 
-def _wait_for_guard(spec: DriveSpec, transport: Transport, guard: Mailbox) -> None:
-    """Wait until the brake guard is ready, and seen as a publisher where the transport can tell."""
-    until = clock.monotonic() + GUARD_TIME
+def _wait_for_guard(spec: DriveSpec, transport: Transport, guard: Mailbox, before: frozenset[str] | None) -> None:
+    """Wait until the brake guard is ready and listed beside the publishers `before`, where the transport can tell."""
     if not isinstance(guard.wait(GUARD_TIME), Ready):
         raise RuntimeError("the brake guard has not started")
-    while clock.monotonic() < until and transport.peers(spec.robot.command.topic).publishers == frozenset():
-        clock.sleep(0.05)
+    wait_for_another(transport, spec.robot.command.topic, before, GUARD_TIME)
 
 
 class Control:

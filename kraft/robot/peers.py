@@ -2,7 +2,22 @@
 
 from __future__ import annotations
 
+import time as clock
+
 from kraft.robot.transport import Transport
+
+
+def wait_for_another(transport: Transport, topic: str, before: frozenset[str] | None, seconds: float) -> None:
+    """Wait until a topic has one more publisher than `before`; not where the transport cannot tell.
+
+    A process of the drive that is listed later than it is ready would be taken for somebody else.
+    """
+    until = clock.monotonic() + seconds
+    while before is not None and clock.monotonic() < until:
+        there = transport.peers(topic).publishers
+        if there is None or len(there) > len(before):
+            return
+        clock.sleep(0.05)
 
 
 class PeerWatch:

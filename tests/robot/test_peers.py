@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from kraft.robot.loopback import LoopbackBus, LoopbackNode
-from kraft.robot.peers import PeerWatch
+from kraft.robot.peers import PeerWatch, wait_for_another
 from kraft.robot.transport import Peers
 
 
@@ -17,6 +17,28 @@ class Listed(LoopbackNode):
 
     def peers(self, topic: str) -> Peers:
         return Peers(self.names, frozenset())
+
+
+class Later(Listed):
+    """A transport that lists the guard at the third look."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.looks = 0
+
+    def peers(self, topic: str) -> Peers:
+        self.looks += 1
+        return Peers(frozenset(("a", "guard") if self.looks > 2 else ("a",)), frozenset())
+
+
+def test_a_guard_that_is_listed_late_is_waited_for_beside_the_controller() -> None:
+    transport = Later()
+    wait_for_another(transport, "/drive", frozenset(("a",)), 10.0)
+    watch = PeerWatch(transport, "/drive")
+    watch.look()
+    assert not watch.foreign
+    wait_for_another(Listed("a"), "/drive", None, 10.0)  # nothing can be told
+    wait_for_another(Listed("a"), "/drive", frozenset(("a",)), 0.1)  # one that does not come
 
 
 def test_own_clients_with_new_names_are_no_others_after_a_reconnection() -> None:
