@@ -1,12 +1,19 @@
-"""Phrases for messages and names of files: counts with nouns, lists of alternatives, suggestions for misspelt names."""
+"""Who receives messages, and phrases for them and for names of files: counts with nouns, lists, suggestions."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from difflib import get_close_matches
-from typing import Final
+from typing import Final, TypeAlias
+
+Log: TypeAlias = Callable[[str], None]
+"""Receives messages."""
+
+
+def no_log(_: str) -> None:
+    """Receive a message and ignore it."""
 
 
 def listed(items: Iterable[object], most: int = 3) -> str:

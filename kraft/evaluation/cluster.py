@@ -10,9 +10,10 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Final
 
 from kraft.errors import Code, InputError, MissingDependency
-from kraft.evaluation.job import POLL, Job, Log, StopRequested, failed_row, perform
+from kraft.evaluation.job import POLL, Job, StopRequested, failed_row, perform
 from kraft.evaluation.journal import TrialRow
 from kraft.provenance import SIMULATION, install_command, versions
+from kraft.text import Log
 
 if TYPE_CHECKING:
     from distributed import Client, Future

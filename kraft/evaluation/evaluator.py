@@ -15,7 +15,7 @@ from kraft.errors import Code, Diagnostic, Problems, Unreachable, out_of_range
 from kraft.evaluation.cluster import Cluster
 from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, WARNINGS, Experiment, MethodLike, experiment_of
 from kraft.evaluation.folder import NEW, Folder, check_exists, check_resumable, create, reopen, write_results
-from kraft.evaluation.job import Executor, Log, no_log
+from kraft.evaluation.job import Executor
 from kraft.evaluation.journal import Key, TrialRow
 from kraft.evaluation.processes import Processes
 from kraft.evaluation.report import CommandLine
@@ -24,7 +24,7 @@ from kraft.evaluation.summary import Summary, summarise
 from kraft.files import check_new_folder
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
-from kraft.text import counted
+from kraft.text import Log, counted, no_log
 from ompl_ext.cores import usable_cores
 
 

@@ -14,13 +14,14 @@ from typing import Final, TypeAlias
 from kraft.driving.control import check_packages
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
-from kraft.evaluation.job import Job, Log, no_log
+from kraft.evaluation.job import Job
 from kraft.evaluation.paper import is_of_paper
 from kraft.evaluation.suite import Entry, ScenarioLike, Settings, Sweeps, entries_of, list_problems, repeated_names
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_placement, needs_motions
 from kraft.planning.workspace import start_state
 from kraft.scenario import Scenario
+from kraft.text import Log, no_log
 from kraft.trial.far_camera import far_camera
 from kraft.trial.planning_vehicle import (
     check_robot,

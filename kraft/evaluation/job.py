@@ -14,6 +14,7 @@ from kraft.errors import InputError, MissingDependency, MissingError
 from kraft.evaluation.journal import Key, TrialRow, trial_row
 from kraft.evaluation.replay import replay_of
 from kraft.scenario import Scenario
+from kraft.text import Log
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import Vehicle
@@ -84,13 +85,6 @@ def _vehicle(reference: str) -> Vehicle:
 
 
 StopRequested: TypeAlias = Callable[[], bool]
-Log: TypeAlias = Callable[[str], None]
-
-
-def no_log(_: str) -> None:
-    """Log that keeps nothing."""
-
-
 POLL: Final = 0.1
 """Longest time until a request to stop takes effect, s."""
 

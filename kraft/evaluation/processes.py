@@ -17,8 +17,9 @@ from multiprocessing.context import SpawnProcess
 from typing import Final, TypeAlias
 
 from kraft.errors import Defect, KraftError
-from kraft.evaluation.job import POLL, Job, Log, StopRequested, failed_row, perform
+from kraft.evaluation.job import POLL, Job, StopRequested, failed_row, perform
 from kraft.evaluation.journal import Key, TrialRow
+from kraft.text import Log
 from ompl_ext.cores import ONE_BLAS_THREAD
 from ompl_ext.signals import STOPPING
 

@@ -16,6 +16,7 @@ from kraft.planning.search import (
     Budget,
     OnProgress,
     Previous,
+    SearchRequest,
     SearchResult,
     check_previous,
     check_seed,
@@ -145,7 +146,8 @@ def plan_task(
     setup_seconds = clock.perf_counter() - began
     budget = budget or budget_of(task)
     reason = _infeasible_start(dirt, state, slack)
-    found = SearchResult(None, dirt.progress) if reason else search(dirt, state, budget, seed, previous, on_progress)
+    request = SearchRequest(state, budget, seed, previous, on_progress)
+    found = SearchResult(None, dirt.progress) if reason else search(dirt, request)
     began = clock.perf_counter()
     verification = verify(dirt, found.plan) if found.plan is not None else None
     verify_seconds = clock.perf_counter() - began

@@ -92,11 +92,23 @@ class SearchResult:
 OnProgress = Callable[[Progress], None]
 """Receives what a search has done so far, many times a second; it does not change the search."""
 
-Search = Callable[[DirtSolver, Floats, Budget, int, Previous | None, OnProgress | None], SearchResult]
-"""Search from a state with a budget and a seed.  The solver has the query and was started in the state.
 
-OMPL's own planners report no progress.
-"""
+@dataclass(frozen=True)
+class SearchRequest:
+    """Search from a state (nx,) with a budget and a seed, which may begin with a previous plan.
+
+    `on_progress` is called if it is given, but not by OMPL's own planners.
+    """
+
+    state: Floats
+    budget: Budget
+    seed: int
+    previous: Previous | None = None
+    on_progress: OnProgress | None = None
+
+
+Search = Callable[[DirtSolver, SearchRequest], SearchResult]
+"""Search of a solver that has the query and was started in the state of the request."""
 
 
 def search_named(planner: str) -> Search:
@@ -147,41 +159,30 @@ def check_previous(planner: str, previous: Previous | None, vehicle: Vehicle) ->
     previous.check(vehicle)
 
 
-def _tree_search(
-    dirt: DirtSolver,
-    state: Floats,
-    budget: Budget,
-    seed: int,
-    previous: Previous | None,
-    on_progress: OnProgress | None,
-) -> SearchResult:
-    def report_and_go_on() -> bool:
-        if on_progress is not None:
+def _tree_search(dirt: DirtSolver, request: SearchRequest) -> SearchResult:
+    previous, budget, on_progress = request.previous, request.budget, request.on_progress
+    stop = None
+    if on_progress is not None:
+
+        def stop() -> bool:
             on_progress(dirt.progress)
-        return False
+            return False  # it goes on
 
     if previous is not None:
         dirt.retain(previous.plan, previous.elapsed)
-    progress = dirt.grow(iterations=budget.iterations, seconds=budget.seconds, stop=report_and_go_on)
+    progress = dirt.grow(iterations=budget.iterations, seconds=budget.seconds, stop=stop)
     return SearchResult(dirt.plan(), progress)
 
 
 def _ompl_search(name: str) -> Search:
-    def search(
-        dirt: DirtSolver,
-        state: Floats,
-        budget: Budget,
-        seed: int,
-        previous: Previous | None,
-        on_progress: OnProgress | None,
-    ) -> SearchResult:
+    def search(dirt: DirtSolver, request: SearchRequest) -> SearchResult:
         from ompl_ext.peers import plan_with_ompl
 
-        assert previous is None, "otherwise it was refused"
+        assert request.previous is None, "otherwise it was refused"
         assert dirt.goal is not None, "a task has a goal"
         result = plan_with_ompl(
-            name, dirt.vehicle, dirt.workspace, state, dirt.goal, safety=dirt.safety, settings=dirt.settings,
-            iterations=budget.iterations, seconds=budget.seconds, seed=seed,
+            name, dirt.vehicle, dirt.workspace, request.state, dirt.goal, safety=dirt.safety, settings=dirt.settings,
+            iterations=request.budget.iterations, seconds=request.budget.seconds, seed=request.seed,
         )  # fmt: skip
         solved = result.plan is not None and result.plan.reaches_goal
         history = ((result.seconds, result.plan.cost),) if result.plan is not None and solved else ()

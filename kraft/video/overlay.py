@@ -40,7 +40,6 @@ OPACITY: Final = 0.8
 SAMPLE: Final = 34
 ROW: Final = 22
 TYPE: Final = 14
-PLAN_TO_GOAL: Final = "plan to goal"
 Sample: TypeAlias = Callable[[ImageDraw.ImageDraw, int, int], None]
 LegendRow: TypeAlias = tuple[str, Sample]
 
@@ -81,16 +80,15 @@ class Overlay:
         draw.text((MARGIN + 14, MARGIN + 53), driver, SECONDARY_TEXT, font(15), "ls")
 
     def _numbers(self, draw: ImageDraw.ImageDraw, snapshot: Snapshot) -> None:
-        ahead = snapshot.cycle.cost_to_goal if snapshot.cycle else math.inf
-        left = max(0.0, ahead - (snapshot.time - snapshot.cycle.time)) if snapshot.cycle else math.inf
-        numbers = (
+        numbers = [
             ("time", f"{snapshot.time:.1f}", "s"),
             ("speed", f"{round(snapshot.speed, 2) + 0.0:.2f}", "m/s"),
-            (PLAN_TO_GOAL, f"{left:.1f}" if math.isfinite(ahead) else "–", "s" if math.isfinite(ahead) else ""),
             ("clearance", f"{100 * max(snapshot.clearance, 0.0):.0f}", "cm"),
-        )
-        foot, shown = self._height - BAND, [each for each in numbers if self._knows_plans or each[0] != PLAN_TO_GOAL]
-        for column, (name, value, unit) in enumerate(shown):
+        ]
+        if self._knows_plans:
+            numbers.insert(2, _plan_to_goal(snapshot))
+        foot = self._height - BAND
+        for column, (name, value, unit) in enumerate(numbers):
             x = MARGIN + 4 + COLUMN * column
             draw.text((x, foot + 27), name, SECONDARY_TEXT, font(14), "ls")
             draw.text((x, foot + 62), value, TEXT, font(28, bold=True), "ls")
@@ -118,6 +116,14 @@ class Overlay:
         half = font(34, bold=True).getlength(text) / 2 + 30
         draw.rounded_rectangle((middle - half, top, middle + half, top + 70), 12, fill=fill)
         draw.text((middle, top + 35), text, TEXT, font(34, bold=True), "mm")
+
+
+def _plan_to_goal(snapshot: Snapshot) -> tuple[str, str, str]:
+    """Name, value and unit of the time that the plan takes to the goal."""
+    ahead = snapshot.cycle.cost_to_goal if snapshot.cycle else math.inf
+    if snapshot.cycle is None or not math.isfinite(ahead):
+        return "plan to goal", "–", ""
+    return "plan to goal", f"{max(0.0, ahead - (snapshot.time - snapshot.cycle.time)):.1f}", "s"
 
 
 def outcome_caption(result: TrialResult) -> tuple[str, str]:

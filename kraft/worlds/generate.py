@@ -20,18 +20,16 @@ from kraft.planning.feasibility import check_placement, check_reachable
 from kraft.planning.plan import finds_plan
 from kraft.planning.workspace import start_state
 from kraft.scenario import Task, parse_scenario
-from kraft.text import counted, suggestion
+from kraft.text import Log, counted, no_log, suggestion
 from kraft.vehicles.load import load_vehicle
 from kraft.worlds import layouts
 from kraft.worlds.layouts import WALL, Obstacle, track
 from kraft.worlds.world import (
     SENSING,
-    Log,
     World,
     Written,
     above,
     finished,
-    no_log,
     resolved_argument,
     write_worlds,
 )

@@ -25,18 +25,16 @@ from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.files import check_new_folder
 from kraft.scenario import OccupancyMap
 from kraft.scenario.geometry import read_map
-from kraft.text import alternatives, counted, suggestion
+from kraft.text import Log, alternatives, counted, no_log, suggestion
 from kraft.worlds.barn import LABEL, read_barn, worlds_in
 from kraft.worlds.world import (
     SENSING,
     Goal,
     Imported,
-    Log,
     Start,
     World,
     Written,
     above,
-    no_log,
     plain_name,
     resolved_argument,
     write_worlds,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 from kraft.config.overrides import value_text
 from kraft.config.source import Place
@@ -18,10 +18,9 @@ from kraft.planning.compilation import ensure_checks_compiled
 from kraft.planning.feasibility import check_placement, check_reachable
 from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario import Trial, parse_scenario
+from kraft.text import Log, no_log
 from kraft.vehicles.reference import VehicleProblem, relative_vehicle, resolve_vehicle
 
-Log: TypeAlias = Callable[[str], None]
-"""Receives the messages for the user."""
 SUITE: Final = "suite.yaml"
 SENSING: Final = {"preset": "planar", "rate_hz": 50}
 DIGITS: Final = 12
@@ -116,10 +115,6 @@ def resolved_argument(vehicle: str) -> str:
 def plain_name(text: str) -> str:
     """Text as the name of a scenario: letters, digits, - and _."""
     return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-_")[:100] or "world"
-
-
-def no_log(_: str) -> None:
-    """Receive a message and ignore it."""
 
 
 def finished(number: int, count: int, name: str) -> str:

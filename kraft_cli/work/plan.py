@@ -21,10 +21,10 @@ from kraft.planning.search import Previous, check_previous, check_seed, check_th
 from kraft.planning.stated_speed import faster_than_stated
 from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario import Planning, Task, load_scenario
-from kraft.text import counted, finite, grouped, metres
+from kraft.text import counted, finite, grouped, metres, no_log
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.work.parameters import parse_parameters
-from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
+from kraft_cli.work.verbose import StageTimer, vehicle_details
 from ompl_ext.memory import in_words
 from ompl_ext.query_tree import Progress
 from ompl_ext.vehicle import Vehicle
@@ -111,7 +111,7 @@ class PlanOutcome:
 
 
 def run_plan(
-    request: PlanRequest, report: Callable[[str], None], detail: Callable[[str], None] = discard_message
+    request: PlanRequest, report: Callable[[str], None], detail: Callable[[str], None] = no_log
 ) -> PlanOutcome:
     """Load, check, plan, write, draw; `report` gets progress and remarks, `detail` the messages of ``-v``.
 

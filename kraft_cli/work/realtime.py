@@ -18,7 +18,7 @@ from kraft.gl import check_video_file
 from kraft.robot.priority import leave_signals_to_planner, process_context
 from kraft.robot.robot_file import JOINT_STATE, CommandOutput, Loopback, Robot, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
-from kraft.text import finite, metres
+from kraft.text import finite, metres, no_log
 from kraft.trial.far_camera import far_camera
 from kraft.trial.planning_vehicle import other_robot
 from kraft.trial.result import Outcome, outcome_text
@@ -26,7 +26,6 @@ from kraft.trial.unguided_goal import unguided_goal
 from kraft.vehicles import is_car
 from kraft_cli.work.drive import DriveFiles, Driven, DriveRequest, drive_json, drive_robot, drive_table, load_files
 from kraft_cli.work.run import RunRequest
-from kraft_cli.work.verbose import discard_message
 from kraft_cli.work.world import WorldRequest, pace_text, simulate
 
 ROBOT: Final = "sim"
@@ -179,7 +178,7 @@ def _simulate(request: WorldRequest, connection: Connection, other: Connection) 
 
     message: WorldResult | Exception
     try:
-        message = simulate(request, discard_message, opened, on_drawing=connection.send)
+        message = simulate(request, no_log, opened, on_drawing=connection.send)
     except Exception as error:  # the other process raises it
         message = error
     with contextlib.suppress(BrokenPipeError):  # the other process has ended

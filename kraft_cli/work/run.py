@@ -23,12 +23,12 @@ from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
 from kraft.planning.stated_speed import faster_than_stated
 from kraft.scenario import Scenario
-from kraft.text import counted, finite, metres
+from kraft.text import counted, finite, metres, no_log
 from kraft.trial.measures import BAND, Measures
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
 from kraft_cli.work.run_folder import write_run
 from kraft_cli.work.trial_outputs import NO_OUTPUT, OutputOptions, TrialOutputs
-from kraft_cli.work.verbose import StageTimer, discard_message, vehicle_details
+from kraft_cli.work.verbose import StageTimer, vehicle_details
 from ompl_ext.vehicle import Footprint
 
 
@@ -60,7 +60,7 @@ def run_scenario(
     request: RunRequest,
     report: Callable[[str], None],
     on_cycle: Callable[[Cycle], None] | None = None,
-    detail: Callable[[str], None] = discard_message,
+    detail: Callable[[str], None] = no_log,
 ) -> Run:
     """Load, check, drive and write a trial.
 

@@ -47,13 +47,12 @@ from kraft.sysid.selection import excluded_for_planning
 from kraft.sysid.terms import check_controls, has_terms
 from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
 from kraft.sysid.vehicle_file import identification_record, write_vehicle
-from kraft.text import counted
+from kraft.text import counted, no_log
 from kraft.vehicles import WHEELBASE, is_car
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.work.next_drives import NextDrives, NextRequest, next_drives
 from kraft_cli.work.sysid_logs import MessageSink, read_sysid_logs, report_problems
 from kraft_cli.work.sysid_request import AUTO, SysidRequest, checked
-from kraft_cli.work.verbose import discard_message
 
 PROGRESS_INTERVAL: Final = 2.0
 """Least time between two progress messages, and before the first one, s."""
@@ -92,9 +91,7 @@ class SysidResult:
     next_error: InputError | NegativeResult | None = None
 
 
-def run_sysid(
-    request: SysidRequest, info: MessageSink, warn: MessageSink, detail: MessageSink = discard_message
-) -> SysidResult:
+def run_sysid(request: SysidRequest, info: MessageSink, warn: MessageSink, detail: MessageSink = no_log) -> SysidResult:
     """Load, check, read, identify, predict, write, draw.
 
     A vehicle file is written only if there are no objections.  The page is drawn in any case; where nothing could be

@@ -23,10 +23,6 @@ class StageTimer:
         self._began = now
 
 
-def discard_message(_: str) -> None:
-    """Ignore a message."""
-
-
 def vehicle_details(vehicle: Vehicle) -> list[str]:
     """Lines with parameters, footprint and kernels of a vehicle; to be called before its kernels are compiled."""
     values = ", ".join(f"{name} {value:g}" for name, value in vehicle.parameters.items()) or "no parameters"

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.errors import Code, InputError, Problems
+from kraft.text import Log
 from kraft.worlds.imports import Collection, Request, read_sources, write_imported
-from kraft.worlds.world import Log, Written
+from kraft.worlds.world import Written
 
 RADIUS: Final = 0.25
 """Radius of a goal that is given without one, m."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import pickle
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from kraft.driving.estimation.adaptive import AdaptiveEstimator, online_paramete
 from kraft.driving.estimation.correlated_filter import MOVED_AFTER
 from kraft.driving.estimation.pose_filter import ProcessModel
 from kraft.driving.estimation.sliding_window import SIGNIFICANT
-from kraft.driving.messages import Estimate, Observation
+from kraft.driving.messages import Estimate, Observation, PoseBelief
 from kraft.driving.method import Adaptive
 from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
@@ -273,17 +274,24 @@ def with_jump(at: float, until: float, jump: Floats) -> tuple[Matrix, Matrix, Ma
     return states, commands, errors
 
 
-def distances(subject: AdaptiveEstimator, states: Matrix, commands: Matrix, errors: Matrix) -> tuple[Floats, Floats]:
-    """Distance of the estimated from the true position after each pose, and its standard deviation, (n,) m."""
-    found, sigmas = [], []
+def beliefs_of(
+    subject: AdaptiveEstimator, states: Matrix, commands: Matrix, errors: Matrix
+) -> Iterator[tuple[Floats, PoseBelief]]:
+    """True state and the belief after each pose of a drive."""
     for k, command in enumerate(commands):
         subject.observe(pose_at(k, states[k], errors[k]))
         if k % 30 == 27:
             subject.replanning_estimate(k / RATE)
         subject.commanded(k / RATE, command)
-        belief = subject.belief
-        assert belief is not None
-        found.append(math.dist(belief.mean[:2], states[k, :2]))
+        assert subject.belief is not None
+        yield states[k], subject.belief
+
+
+def distances(subject: AdaptiveEstimator, states: Matrix, commands: Matrix, errors: Matrix) -> tuple[Floats, Floats]:
+    """Distance of the estimated from the true position after each pose, and its standard deviation, (n,) m."""
+    found, sigmas = [], []
+    for state, belief in beliefs_of(subject, states, commands, errors):
+        found.append(math.dist(belief.mean[:2], state[:2]))
         sigmas.append(math.sqrt(np.linalg.eigvalsh(belief.covariance[:2, :2])[-1]))
     return np.array(found), np.array(sigmas)
 
@@ -326,15 +334,10 @@ def test_a_car_that_turns_otherwise_than_its_model_is_followed(rate: float) -> N
     subject = make_estimator(DEFAULT, CarModel(replace(vehicle(), ranges=known)), BEGIN)
     assert isinstance(subject, AdaptiveEstimator)
     errors = correlated(np.random.default_rng(3), len(states), ACCURATE, 0.0)
-    away = []
-    for k, command in enumerate(commands):
-        subject.observe(pose_at(k, states[k], errors[k]))
-        if k % 30 == 27:
-            subject.replanning_estimate(k / RATE)
-        subject.commanded(k / RATE, command)
-        belief = subject.belief
-        assert belief is not None
-        away.append(abs(math.degrees(math.remainder(belief.mean[2] - states[k, 2], math.tau))))
+    away = [
+        abs(math.degrees(math.remainder(belief.mean[2] - state[2], math.tau)))
+        for state, belief in beliefs_of(subject, states, commands, errors)
+    ]
     assert max(away[: round(5.0 * RATE)]) < 2.0
     assert max(away) < 7.0
     assert max(away[round(5.7 * RATE) :]) < 4.0

@@ -18,8 +18,9 @@ import pytest
 from kraft.driving.messages import Cycle, PredictedMotion, Reference, ReferenceKind
 from kraft.errors import InputError, MissingDependency
 from kraft.evaluation import cluster, job, processes
-from kraft.evaluation.job import Job, Log, StopRequested, perform
+from kraft.evaluation.job import Job, StopRequested, perform
 from kraft.evaluation.journal import TrialRow
+from kraft.text import Log
 from kraft.trial.measures import Step
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 

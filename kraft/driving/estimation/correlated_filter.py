@@ -154,32 +154,30 @@ class CorrelatedFilter(PoseFilter):
         doubted = replace(prior, covariance=covariance, cross_covariance=cross, pose_covariance=expected)
         return replace(self._fused(pose, doubted, self._noise), jumped=pose.time)
 
-    def _predict(self, posterior: Posterior, time: float) -> tuple[Floats, Matrix]:
-        """Mean and covariance at `time` (s).
+    def _rate(self, posterior: Posterior) -> Floats | None:
+        """Variance (size,) that the state gains in a second, if the motion is doubted.
 
         Errors of poses jump.  If they came little by little, the vehicle has moved otherwise than the model.  Then the
         motion varies as much as they are large, and they do not.
         """
         if not posterior.drifted:
-            return super()._predict(posterior, time)
-        rate, commands = self._variance_rate.copy(), self._reckoning.commands.between(posterior.time, time)
-        error = self._sensor.spread @ posterior.mean[self._part(CORRELATED)]
+            return None
+        rate, error = self._variance_rate.copy(), self._sensor.spread @ posterior.mean[self._part(CORRELATED)]
         rate[self._pose] += 2.0 * error**2 / self._process_model.times[CORRELATED]
-        return self._process_model.predicted(posterior.mean, posterior.covariance, commands, rate)
+        return rate
 
     def _update(self, posterior: Posterior, pose: Observation) -> Posterior:
         """Posterior after a pose; errors that the noise does not explain are believed for a while."""
         after = super()._update(posterior, pose)
-        jumped = max(posterior.jumped, after.jumped)
-        after = replace(after, jumped=jumped)
+        after = replace(after, jumped=max(posterior.jumped, after.jumped))
         error = after.mean[self._part(CORRELATED)]
         usual = len(error) if posterior.drifted else self._limit**2
         if (error**2 / np.maximum(self._correlated_variance, 1e-12)).sum() <= usual:
             return after
         since = min(posterior.doubted_since, pose.time)
         if pose.time - since < MOVED_AFTER:
-            begun = since == pose.time and since - jumped > MOVED_AFTER
-            return replace(after, doubted_since=since, drifted=posterior.drifted or begun)
+            begins = since == pose.time and since - after.jumped > MOVED_AFTER
+            return replace(after, doubted_since=since, drifted=posterior.drifted or begins)
         return self._half_moved(after)
 
     def _half_moved(self, posterior: Posterior) -> Posterior:

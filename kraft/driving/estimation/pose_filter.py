@@ -232,7 +232,11 @@ class PoseFilter:
 
     def _predict(self, posterior: Posterior, time: float) -> tuple[Floats, Matrix]:
         commands = self._reckoning.commands.between(posterior.time, time)
-        return self._process_model.predicted(posterior.mean, posterior.covariance, commands)
+        return self._process_model.predicted(posterior.mean, posterior.covariance, commands, self._rate(posterior))
+
+    def _rate(self, posterior: Posterior) -> Floats | None:
+        """Variance (size,) that the state gains in a second after a posterior; None for that of the process model."""
+        return None
 
     def _look_at(self, x: float, y: float) -> None:
         """Set the noise of a pose at a place (m): it is the same everywhere."""
