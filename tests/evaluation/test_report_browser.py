@@ -378,3 +378,15 @@ def test_a_print_leaves_no_page_half_empty(tab: Page, driven: Driven) -> None:
     tab.goto(driven.url)
     paper = tab.pdf(format="A4", prefer_css_page_size=True)
     assert len(re.findall(rb"/Type\s*/Page\b", paper)) == 2
+
+
+def test_a_print_of_many_entries_has_their_headings_beside_their_tables(
+    tab: Page, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
+    methods = (*METHODS, "conservative-kraft", "filtered-kraft", "adaptive-kraft", "mppi", "sst", "dwa", "kraft-mppi")
+    evaluate(suite="hard", methods=methods, trials=1, out=tmp_path / "out")
+    tab.goto((tmp_path / "out" / "report.html").as_uri())
+    paper = tab.pdf(format="A4", prefer_css_page_size=True)
+    # two entries of nine methods on a page; with each heading at the end of the page before its table it was one
+    assert len(re.findall(rb"/Type\s*/Page\b", paper)) <= 30 // 2 + 8
