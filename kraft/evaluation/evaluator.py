@@ -93,7 +93,8 @@ def evaluate(
         settings: values of the scenarios' dotted keys, as in ``{"sensing.noise_scale": 2}``.
         vary: several values for a key; each value makes an entry of its own, as in ``{"sensing.rate_hz": [5, 30]}``.
         vehicle: planning model that replaces those of the methods and scenarios.
-        resume: continue the evaluation in the folder `out`.
+        resume: continue the evaluation in the folder `out`; it may get more trials and more methods, and those that it
+            has stay as they are.
         realtime: limit planning by wall-clock time instead of iterations; the trials are then not repeatable.
         cluster: address of a Dask scheduler that replaces the worker processes.
         observer: receives the progress and may stop the evaluation.

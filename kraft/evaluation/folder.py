@@ -13,8 +13,8 @@ from kraft.errors import Code, InputError
 from kraft.evaluation import journal, report
 from kraft.evaluation.experiment import Experiment
 from kraft.evaluation.journal import Journal, Key, TrialRow, read_journal
-from kraft.evaluation.manifest import MANIFEST, check_same_manifest, manifest_of, read_manifest
-from kraft.evaluation.ompl_benchmark import write_benchmark
+from kraft.evaluation.manifest import MANIFEST, check_continues, grown_manifest, manifest_of, read_manifest
+from kraft.evaluation.ompl_benchmark import benchmark_files, write_benchmark
 from kraft.evaluation.report import CommandLine, Results
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import SCHEMA, Summary, evaluation_json, recorded_wall, wall_of
@@ -28,19 +28,16 @@ NEW: Final = "expected a new folder, or to resume this one"
 class Folder:
     """Open results folder.
 
-    `rows` are its finished trials; `incomplete_line` is whether the last line of the journal was cut off.
+    `rows` are its finished trials; `wall` is the time for which the evaluation has run, s; `incomplete_line` is whether
+    the last line of the journal was cut off.
     """
 
     path: Path
     manifest: dict[str, Any]
     journal: Journal
     rows: dict[Key, TrialRow]
+    wall: float = 0.0
     incomplete_line: bool = False
-
-    @property
-    def wall(self) -> float:
-        """Time for which the evaluation has run, s."""
-        return wall_of(recorded_wall(self.path), self.rows.values())
 
 
 def default_path(seed: int, root: Path = ROOT) -> Path:
@@ -67,26 +64,54 @@ def create(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> 
 
 
 def reopen(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> Folder:
-    """Open the folder of an unfinished evaluation; its failed trials are not among the finished ones.
+    """Open the folder of an evaluation, which may have more trials or methods now.
+
+    Its failed trials are not among the finished ones.
 
     Raises:
-        InputError: if the folder does not exist or is damaged; with every difference if it is of another evaluation.
+        InputError: if the folder does not exist, is damaged or cannot be written; with every difference if it is of
+            another evaluation.
     """
-    was = check_resumable(path, experiment, arguments)
-    if was is None:
+    if check_resumable(path, experiment, arguments) is None:
         return _new_folder(path, experiment, arguments)
     file = path / journal.NAME
     opened = Journal(file)  # first, so that no other process writes it any more
     try:
+        was, now = read_manifest(path / MANIFEST), manifest_of(experiment, arguments)
+        grown = check_continues(path / MANIFEST, was, now)  # again: another process may have replaced it
         rows = read_journal(file, {job.key for job in experiment.jobs()})
-    except InputError:
+        finished = _finished(rows)
+        wall = wall_of(recorded_wall(path), finished.values())
+        if grown:
+            _remove_results(path, experiment)
+            was = grown_manifest(was, now)
+            write_json(path / MANIFEST, was)
+    except BaseException:
         opened.close()
         raise
-    return Folder(path, was, opened, _finished(rows), opened.was_cut)
+    return Folder(path, was, opened, finished, wall, opened.was_cut)
+
+
+def _remove_results(path: Path, experiment: Experiment) -> None:
+    """Remove what was written when all trials had ended, the summary first.
+
+    A stop at any time, also between this and the new manifest, leaves the folder of an evaluation without a summary,
+    which can be resumed.
+
+    Raises:
+        InputError: if a file cannot be removed.
+    """
+    for file in (path / SUMMARY, path / report.NAME, *benchmark_files(path, experiment)):
+        try:
+            file.unlink(missing_ok=True)
+        except OSError as error:
+            expected = "expected a folder whose files can be replaced"
+            problem = f"cannot be removed: {error.strerror}"
+            raise InputError.of(str(file), problem, expected, Code.UNWRITABLE) from error
 
 
 def check_resumable(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Check that a folder is of this evaluation, and return its manifest.
+    """Check that a folder is of this evaluation, or of one with fewer trials or methods, and return its manifest.
 
     Returns:
         None if the evaluation was stopped before the manifest was written.
@@ -99,7 +124,7 @@ def check_resumable(path: Path, experiment: Experiment, arguments: Mapping[str, 
         check_empty(path)
         return None
     was = read_manifest(path / MANIFEST)
-    check_same_manifest(path / MANIFEST, was, manifest_of(experiment, arguments))
+    check_continues(path / MANIFEST, was, manifest_of(experiment, arguments))
     return was
 
 

@@ -116,13 +116,20 @@ def read_manifest(path: Path) -> dict[str, Any]:
     return content
 
 
-def check_same_manifest(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Check that a manifest is of the same evaluation.
+def check_continues(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) -> bool:
+    """Check that a manifest is of the same evaluation, or of one that has more trials or methods now.
+
+    Returns:
+        Whether it has more now, so that `now` replaces the manifest at `path`.
 
     Raises:
-        InputError: with every difference.
+        InputError: with every other difference.
     """
     before, after = _compared(was), _compared(now)
+    grown = False
+    if all(isinstance(before.get(name), dict) for name in SECTIONS):  # otherwise it is damaged, which is a difference
+        _relabel_vehicles(before, after)
+        grown = _remove_additions(was, now, before, after)
     for rows in (before["rows"], after["rows"]):  # rows of one side alone are reported by their scenario or method
         for row in rows.keys() - (before["rows"].keys() & after["rows"].keys()):
             del rows[row]
@@ -132,12 +139,48 @@ def check_same_manifest(path: Path, was: Mapping[str, Any], now: Mapping[str, An
             Diagnostic(
                 str(path),
                 _difference(keys, before, after),
-                "expected no change, or another folder",
+                _expected(keys, before),
                 path=".".join(keys),
                 code=Code.MISMATCH,
             )
             for keys, before, after in differing
         )
+    return grown
+
+
+def grown_manifest(was: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
+    """Manifest of an evaluation that has more trials or methods now; it began when and where it did."""
+    return {**now, **{key: was[key] for key in ("began", "host") if key in was}}
+
+
+def _relabel_vehicles(before: dict[str, Any], after: dict[str, Any]) -> None:
+    """Give vehicles of `before` their labels in `after`: one that has the name of an added vehicle got a longer one."""
+    for row in before["rows"].keys() & after["rows"].keys():
+        label, new = before["rows"][row], after["rows"][row]
+        was = before["vehicles"].get(label)
+        if label != new and was is not None and was == after["vehicles"].get(new):
+            before["vehicles"][new] = before["vehicles"].pop(label)
+            before["rows"] = {each: new if given == label else given for each, given in before["rows"].items()}
+
+
+def _remove_additions(
+    was: Mapping[str, Any], now: Mapping[str, Any], before: Mapping[str, Any], after: dict[str, Any]
+) -> bool:
+    """Remove from `after` what an evaluation may get more of: trials, and methods with their vehicles.
+
+    Returns:
+        Whether there was any.
+    """
+    added = after["methods"].keys() - {row["method"] for row in was["rows"]}
+    used = {row["vehicle"] for row in now["rows"] if row["method"] not in added}
+    for name in added:
+        del after["methods"][name]
+    for label in after["vehicles"].keys() - before["vehicles"].keys() - used:
+        del after["vehicles"][label]
+    more = isinstance(before.get("trials"), int) and 1 <= before["trials"] < after["trials"]
+    if more:
+        after["trials"] = before["trials"]
+    return bool(added) or more
 
 
 def _compared(content: Mapping[str, Any]) -> dict[str, Any]:
@@ -171,6 +214,15 @@ def _difference(keys: tuple[str, ...], before: Any, after: Any) -> str:
     if after is MISSING:
         return f"{part} is missing now" if known else f"was {_json(before)}, is absent now"
     return f"was {_json(before)}, is {_json(after)} now"
+
+
+def _expected(keys: tuple[str, ...], before: Any) -> str:
+    """What a resumed evaluation may have instead."""
+    if keys == ("trials",):
+        return f"expected at least {before}, or another folder"
+    if keys[0] == "methods" and len(keys) == 2:
+        return "expected it among the methods, as they may become more but not fewer, or another folder"
+    return "expected no change, or another folder"
 
 
 def _json(value: Any) -> str:

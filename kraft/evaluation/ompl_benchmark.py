@@ -49,12 +49,23 @@ def write_benchmark(
     Raises:
         InputError: if a file cannot be written.
     """
-    names = slugs(dict.fromkeys(cell.entry.name for cell in experiment.cells))
-    logs = [folder / ("benchmark.log" if len(names) == 1 else f"benchmark-{slug}.log") for slug in names.values()]
-    for name, log in zip(names, logs, strict=True):
+    logs = _logs(folder, experiment)
+    for name, log in logs.items():
         cells = [cell for cell in experiment.cells if cell.entry.name == name]
         write_whole(log, ("\n".join(_log(cells, experiment, rows, manifest, wall)) + "\n").encode())
-    make_database(folder / DATABASE, logs)
+    make_database(folder / DATABASE, list(logs.values()))
+
+
+def benchmark_files(folder: Path, experiment: Experiment) -> list[Path]:
+    """Files that `write_benchmark` writes: the logs and the database."""
+    return [*_logs(folder, experiment).values(), folder / DATABASE]
+
+
+def _logs(folder: Path, experiment: Experiment) -> dict[str, Path]:
+    """Log of each entry."""
+    names = slugs(dict.fromkeys(cell.entry.name for cell in experiment.cells))
+    files = ["benchmark.log"] if len(names) == 1 else [f"benchmark-{slug}.log" for slug in names.values()]
+    return {name: folder / file for name, file in zip(names, files, strict=True)}
 
 
 def _log(

@@ -34,7 +34,7 @@ ClusterAddress = Annotated[
     str | None, typer.Option("--cluster", metavar="ADDRESS", help="Run on the workers of a Dask scheduler.")
 ]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="New results folder; results/eval-TIME-seedN.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Resume the evaluation in the folder of --out.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Resume that of --out, also with more trials or methods.")]
 Realtime = Annotated[
     bool, typer.Option("--realtime", help="Limit planning by wall-clock time and count missed deadlines.")
 ]

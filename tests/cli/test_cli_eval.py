@@ -167,8 +167,25 @@ def test_going_on_needs_no_more_than_the_folder(inline: None, capsys: pytest.Cap
         del content["wall_s"]
     assert again == whole
     assert run_json(capsys, "slip", "--out", "o", "--resume") | {"wall_s": 0} == whole | {"folder": "o", "wall_s": 0}
-    assert main(["eval", "--trials", "30", "--out", "o", "--resume"]) == 2
-    assert capsys.readouterr().err.startswith("o/manifest.json: trials: ")
+    assert main(["eval", "--trials", "2", "--out", "o", "--resume"]) == 2
+    expected = "o/manifest.json: trials: was 3, is 2 now; expected at least 3, or another folder\n"
+    assert capsys.readouterr().err == expected
+
+
+def test_an_evaluation_gets_more_trials_and_methods_by_options(
+    inline: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_json(capsys, "slip", "--methods", "kraft", "--trials", "2", "--out", "o")
+    run_json(capsys, "--out", "o", "--resume", "--trials", "5", "-q")
+    more = run_json(capsys, "--out", "o", "--resume", "--methods", "oneshot-openloop,kraft", "-q")
+    run_json(capsys, "slip", "--methods", "oneshot-openloop,kraft", "--trials", "5", "--out", "whole")
+    assert kept(Path("o")) == kept(Path("whole"))
+    assert (more["trials"], [row["method"] for row in more["results"]]) == (5, ["oneshot-openloop", "kraft"])
+    arguments = json.loads(Path("o/manifest.json").read_text())["arguments"]
+    assert arguments == json.loads(Path("whole/manifest.json").read_text())["arguments"]
+    assert main(["report", "o"]) == 0
+    assert main(["eval", "--out", "o", "--resume", "--methods", "kraft"]) == 2
+    assert capsys.readouterr().err.startswith("o/manifest.json: methods.oneshot-openloop: method oneshot-openloop is ")
 
 
 def test_what_is_not_said_when_going_on_comes_from_the_folder_and_what_is_said_is_compared(

@@ -20,7 +20,7 @@ from kraft.errors import Code, InputError
 from kraft.evaluation import Evaluation, Observer, TrialRow, evaluate, folder
 from kraft.evaluation.experiment import experiment_of
 from kraft.evaluation.journal import Journal, read_journal
-from kraft.evaluation.manifest import check_same_manifest, manifest_of
+from kraft.evaluation.manifest import check_continues, manifest_of
 from kraft.vehicles.load import load_vehicle
 
 SCENARIOS, METHODS = ("turns", "slip"), ("oneshot-openloop", "kraft")
@@ -206,7 +206,7 @@ def test_there_must_be_something_to_go_on_with(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"trials": 4}, ["trials"]),
+        ({"trials": 2}, ["trials"]),
         (
                 {"methods": ("kraft",)},
                 ["methods.oneshot-openloop", "vehicles.mushr"],
@@ -370,4 +370,4 @@ def test_a_manifest_does_not_depend_on_where_files_are(tmp_path: Path) -> None:
         (tmp_path / name / "car.yaml").write_text(source)
         experiment = experiment_of(["turns"], ["kraft"], vehicle=str(tmp_path / name / "car.yaml"))
         contents.append(manifest_of(experiment, {}))
-    check_same_manifest(tmp_path, *contents)
+    assert not check_continues(tmp_path, *contents)
