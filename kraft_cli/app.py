@@ -9,6 +9,7 @@ import typer
 from typer.core import TyperCommand
 
 from kraft import __version__
+from kraft_cli.commands.compare import compare
 from kraft_cli.commands.doctor import doctor
 from kraft_cli.commands.drive import drive, world
 from kraft_cli.commands.eval import eval_
@@ -79,6 +80,7 @@ _COMMANDS: Final[dict[str, Callable[..., Any]]] = {
     "drive": drive,
     "world": world,
     "report": report,
+    "compare": compare,
     "record": record,
     "sysid": sysid,
     "import": import_,

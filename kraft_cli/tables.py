@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from kraft_cli.terminal import Terminal
 
 if TYPE_CHECKING:
     from kraft.evaluation import Summary
+    from kraft.evaluation.comparison import Comparison
     from kraft.evaluation.table import Table
 
 REMARK_MANY = "The tables of the entries, with intervals and measures, are in report.html and summary.json."
@@ -46,16 +47,32 @@ def show_tables(terminal: Terminal, summary: Summary) -> None:
         terminal.data(REMARK_MANY)
         return
     together = totals(summary)
+    _show_all(terminal, [*tables(summary), *([together] if together else [])], MEANINGS)
+
+
+def show_comparison(terminal: Terminal, comparison: Comparison) -> None:
+    """Print the tables of a comparison, and below them what was compared and what differs."""
+    from kraft.evaluation.comparison_table import MEANINGS, comparison_tables, remarks
+
+    _show_all(terminal, comparison_tables(comparison), MEANINGS)
+    terminal.data("")
+    for line in remarks(comparison):
+        terminal.data(line)
+
+
+def _show_all(terminal: Terminal, tables: Sequence[Table], meanings: Mapping[str, str]) -> None:
+    """Print tables, on a terminal with as many columns as fit, and below them what the shown columns hold."""
     shown: set[str] = set()
-    for table in [*tables(summary), *([together] if together else [])]:
+    for table in tables:
         if terminal.out.isatty():
             shown.update(_rich(terminal, table))
-        else:
+            continue
+        if table.title:
             terminal.data(table.title)
-            terminal.table(table.heading, table.rows)
-            terminal.data("")
-            shown.update(table.heading)
-    _show_meanings(terminal, [(name, meaning) for name, meaning in MEANINGS.items() if name in shown])
+        terminal.table(table.heading, table.rows)
+        terminal.data("")
+        shown.update(table.heading)
+    _show_meanings(terminal, [(name, meaning) for name, meaning in meanings.items() if name in shown])
 
 
 def _show_meanings(terminal: Terminal, meanings: Sequence[tuple[str, str]]) -> None:
@@ -119,7 +136,9 @@ def _rich(terminal: Terminal, table: Table) -> Sequence[str]:
 
     console = Console(file=terminal.out, highlight=False, markup=False)
     fitted = table.fitted(console.width - 4, gap=3)
-    grid = Grid(title=table.title, box=box.ROUNDED, border_style="dim", title_justify="left", title_style="bold")
+    grid = Grid(
+        title=table.title or None, box=box.ROUNDED, border_style="dim", title_justify="left", title_style="bold"
+    )
     for number, heading in enumerate(fitted.heading):
         grid.add_column(heading, justify="left" if number == 0 else "right", no_wrap=True)
     for row in fitted.rows:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import lazy_loader
 
 if TYPE_CHECKING:
+    from kraft.evaluation.comparison import Comparison as Comparison
+    from kraft.evaluation.comparison import compare as compare
     from kraft.evaluation.evaluator import Evaluation as Evaluation
     from kraft.evaluation.evaluator import Observer as Observer
     from kraft.evaluation.evaluator import evaluate as evaluate
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
+        "comparison": ["Comparison", "compare"],
         "evaluator": ["Evaluation", "Observer", "evaluate"],
         "experiment": ["METHODS", "SUITE", "TRIALS", "Experiment"],
         "journal": ["TrialRow"],

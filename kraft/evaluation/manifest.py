@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -34,6 +34,7 @@ ESTIMATION: Final = ("ranges", "gravity_share", "delay", "errors_by_speed")
 """What of a vehicle only estimators use."""
 ROW_KEYS: Final = {"scenario", "method", "vehicle"}
 MISSING: Final = object()
+"""Stands for a value that is absent."""
 
 
 def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -151,6 +152,26 @@ def check_continues(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) 
 def grown_manifest(was: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
     """Manifest of an evaluation that has more trials or methods now; it began when and where it did."""
     return {**now, **{key: was[key] for key in ("began", "host") if key in was}}
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Value of a manifest that another one has otherwise, by its path; `MISSING` where one of them has none."""
+
+    path: tuple[str, ...]
+    one: Any
+    other: Any
+
+
+def manifest_differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[Difference]:
+    """What differs between two manifests, apart from rows, scenarios, methods and vehicles that only one has."""
+    before, after = _compared(one), _compared(other)
+    _relabel_vehicles(before, after)
+    for section in ("rows", *SECTIONS):
+        common = before.get(section, {}).keys() & after.get(section, {}).keys()  # older manifests have no methods
+        for content in (before, after):
+            content[section] = {name: value for name, value in content.get(section, {}).items() if name in common}
+    return [Difference(*found) for found in _differences(before, after)]
 
 
 def _relabel_vehicles(before: dict[str, Any], after: dict[str, Any]) -> None:

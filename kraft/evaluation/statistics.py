@@ -171,8 +171,26 @@ def grouped_share_interval(
     return interval or _score_interval(float(values.sum() / trials.sum()), len(counts), confidence)
 
 
+def mean_difference_interval(
+    differences: Sequence[float], groups: Sequence[Hashable], confidence: float = 0.95
+) -> tuple[float, float] | None:
+    """Interval of the mean of differences between pairs, each with the group that it belongs to.
+
+    It is bootstrapped over groups (BCa, 9,999 resamples), in which pairs are alike; pairs that are independent have a
+    group each.  None with fewer than three groups, or with the same mean in all of them, which bootstrapping cannot
+    judge.
+    """
+    number = {group: k for k, group in enumerate(dict.fromkeys(groups))}
+    sums, sizes = np.zeros(len(number)), np.zeros(len(number))
+    for difference, group in zip(differences, groups, strict=True):
+        sums[number[group]] += difference
+        sizes[number[group]] += 1
+    interval = _share_bootstrap(sums, sizes, confidence)
+    return interval if interval is not None and np.isfinite(interval).all() else None
+
+
 def _share_bootstrap(values: Floats, sizes: Floats, confidence: float) -> tuple[float, float] | None:
-    """Interval of the sum of `values` over that of `sizes`; None where bootstrapping cannot judge it."""
+    """Interval of the sum of `values` over that of `sizes`, both by group; None where bootstrapping cannot judge it."""
     from scipy.stats import bootstrap
 
     if len(values) < 3 or np.ptp(values / sizes) == 0.0:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from kraft.evaluation.statistics import (
     grouped_share_interval,
     mcnemar,
+    mean_difference_interval,
     mean_interval,
     newcombe,
     paired_difference,
@@ -203,3 +204,35 @@ def test_the_bootstrapped_interval_of_ratios_repeats_and_holds_the_geometric_mea
     assert found is not None
     assert 0.77 < found[0] < prod(a / b for a, b in zip(one, other, strict=True)) ** 0.2 < found[1] < 1.1
     assert ratio_interval(one[:2], other[:2]) is ratio_interval([2.0] * 5, [1.0] * 5) is None
+
+
+def test_the_interval_of_a_mean_difference_is_near_students_where_that_holds() -> None:
+    values = [((7 * k) % 101 - 50) / 100.0 for k in range(101)]  # even, so that both intervals nearly agree
+    found, student = mean_difference_interval(values, range(101)), mean_interval(values)
+    assert found is not None
+    assert student is not None
+    assert found == pytest.approx(student, abs=0.005)
+
+
+def test_differences_of_a_group_count_as_alike() -> None:
+    values = [0.1 * (k // 10) for k in range(100)]
+    apart = mean_difference_interval(values, range(100))
+    groups = mean_difference_interval(values, [k // 10 for k in range(100)])
+    assert apart is not None
+    assert groups is not None
+    assert groups[1] - groups[0] > 2.5 * (apart[1] - apart[0])  # sqrt(10) in theory
+    assert groups == pytest.approx(mean_difference_interval([0.1 * k for k in range(10)], range(10)), abs=0.02)
+
+
+@pytest.mark.parametrize("values", [[], [1.0], [1.0, 2.0], [0.3, 0.3, 0.3, 0.3]])
+def test_what_bootstrapping_cannot_judge_has_no_interval(values: list[float]) -> None:
+    assert mean_difference_interval(values, range(len(values))) is None
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.lists(st.integers(-300, 300), min_size=3, max_size=8))
+def test_the_interval_of_a_mean_difference_lies_within_the_differences(ticks: list[int]) -> None:
+    values = [tick / 30 for tick in ticks]
+    found = mean_difference_interval(values, range(len(values)))
+    if found is not None:
+        assert min(values) - 1e-9 <= found[0] <= found[1] <= max(values) + 1e-9

@@ -10,6 +10,7 @@ import typer
 from kraft_cli.app import app
 
 IMPORTS = [
+    "kraft.evaluation:compare",
     "kraft.evaluation:evaluate",
     "kraft.evaluation:markdown",
     "kraft.logs.reader:read_logs",
@@ -44,6 +45,7 @@ IMPORTS = [
 ]
 
 COMMANDS = {
+    "compare": "a b --json",
     "doctor": "--json --robot",
     "drive": "scenario --bag --json --method --out --robot --seed --set --vehicle",
     "eval": "scenarios --cluster --jobs --json --methods --out --realtime --resume --seed --set --suite --trials --vary --vehicle",

@@ -228,8 +228,25 @@ class Results:
         return _references(self.manifest, "methods", list(self.methods))
 
 
-def read_results(folder: Path, command_line: CommandLine | None = None) -> Results:
-    """Read a results folder of a complete or unfinished evaluation.
+@dataclass(frozen=True)
+class RecordedTrials:
+    """What a results folder has recorded.
+
+    `manifest` is what the report needs of the manifest, `content` all of it; `rows` are the finished trials.
+    """
+
+    manifest: Manifest
+    content: dict[str, Any]
+    rows: dict[Key, TrialRow]
+
+    @property
+    def missing(self) -> int:
+        """Number of trials that have not run yet."""
+        return len(self.manifest.rows) * self.manifest.trials - len(self.rows)
+
+
+def read_trials(folder: Path) -> RecordedTrials:
+    """Read manifest and trials of a complete or unfinished evaluation.
 
     Raises:
         InputError: if the folder is not a results folder or is damaged.
@@ -240,8 +257,9 @@ def read_results(folder: Path, command_line: CommandLine | None = None) -> Resul
     file = folder / MANIFEST
     if not file.exists():
         raise InputError.of(str(folder), f"has no {MANIFEST}", EXPECTED, Code.NOT_FOUND)
+    content = read_manifest(file)
     try:
-        found = Manifest.model_validate(read_manifest(file))
+        found = Manifest.model_validate(content)
     except ValidationError as error:
         where = ".".join(str(part) for part in error.errors()[0]["loc"])
         expected = "expected the manifest that kraft eval writes"
@@ -249,6 +267,17 @@ def read_results(folder: Path, command_line: CommandLine | None = None) -> Resul
     trials = {(cell.name, cell.method, seed) for cell in found.rows for seed in found.seeds}
     rows = journal.read_journal(folder / journal.NAME, trials)
     _check_complete(folder, rows, len(trials))
+    return RecordedTrials(found, content, rows)
+
+
+def read_results(folder: Path, command_line: CommandLine | None = None) -> Results:
+    """Read a results folder of a complete or unfinished evaluation.
+
+    Raises:
+        InputError: if the folder is not a results folder or is damaged.
+    """
+    recorded = read_trials(folder)
+    found, rows = recorded.manifest, recorded.rows
     wall = wall_of(_recorded_wall(folder), rows.values())
     summary = tabulate(found.names, found.seeds, rows, wall, realtime=found.realtime)
     replays = journal.Replays(folder / journal.REPLAYS)

@@ -1,0 +1,120 @@
+"""Tables of a comparison of two evaluations, and what differs between their manifests, for a terminal."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+from kraft.evaluation.comparison import OUTCOMES, Comparison, PairedRow
+from kraft.evaluation.manifest import MISSING, Difference
+from kraft.evaluation.table import Table
+from kraft.text import counted, decimals, listed
+
+COLUMNS: Final = {
+    "entry": 9,
+    "method": 9,
+    "pairs": 6,
+    "succ A/B": 8,
+    "coll A/B": 8,
+    "timeout A/B": 7,
+    "failed A/B": 7,
+    "gained": 3,
+    "lost": 3,
+    "p": 5,
+    "both": 2,
+    "dT s": 5,
+    "dT 95 % CI": 4,
+    "same": 6,
+}
+"""Headings and their importance, see `kraft.evaluation.table.Table`."""
+MEANINGS: Final = {
+    "pairs": "trials with the same seed in A and B",
+    "gained": "pairs in which only B succeeded",
+    "lost": "pairs in which only A succeeded",
+    "p": "exact McNemar test of the successes; of all entries the exact sign-flip test over entries",
+    "both": "pairs in which both succeeded",
+    "dT s": "mean of the time in B minus that in A over these pairs",
+    "dT 95 % CI": "its interval, bootstrapped over pairs; of all entries over entries",
+    "same": "pairs whose drives are the same, bit by bit",
+}
+"""What the columns hold whose heading does not say it."""
+NAMES: Final = dict(zip(OUTCOMES, ("succ A/B", "coll A/B", "timeout A/B", "failed A/B"), strict=True))
+MARK: Final = " *"
+"""Behind the name of an entry whose scenario is not the same in both evaluations."""
+DIFFERENCES_MAX: Final = 20
+"""Most differences that are printed."""
+VALUE_MAX: Final = 60
+"""Most characters of a value that are printed."""
+
+
+def comparison_tables(comparison: Comparison) -> list[Table]:
+    """Table of all rows, and if there are several entries that of all entries together."""
+    rows, totals = comparison.rows, comparison.totals
+    left_out = set() if any(side["failed"] for row in rows for side in row.counts) else {"failed A/B"}
+    found = [_table("", rows, left_out)]
+    return [*found, _table("all entries", totals, left_out | {"entry"})] if totals else found
+
+
+def remarks(comparison: Comparison) -> Iterator[str]:
+    """Lines about what was compared: the folders, what each lacks, and what differs in the manifests."""
+    for label, folder, missing in zip("AB", comparison.folders, comparison.missing, strict=True):
+        yield f"{label}: {folder}" + (f", {counted(missing, 'trial')} not run yet" if missing else "")
+    for label, alone in zip("AB", comparison.alone, strict=True):
+        if alone:
+            yield f"only in {label}: {listed((', '.join(each) for each in alone), DIFFERENCES_MAX)}"
+    changed = list(dict.fromkeys(row.entry for row in comparison.rows if not row.same_scenario))
+    if changed:
+        names = listed(changed, DIFFERENCES_MAX)
+        yield f"*: the content of the scenario is not the same in A and B, trials are of different tasks: {names}"
+    differences = comparison.differences
+    yield from map(_difference, differences[:DIFFERENCES_MAX])
+    if len(differences) > DIFFERENCES_MAX:
+        yield f"and {counted(len(differences) - DIFFERENCES_MAX, 'further difference')}, which --json has"
+    if not differences:
+        yield "scenarios, methods, vehicles and versions are the same in A and B"
+
+
+def _table(title: str, rows: Sequence[PairedRow], left_out: set[str]) -> Table:
+    names = [name for name in COLUMNS if name not in left_out]
+    cells = [_cells(row) for row in rows]
+    importance = tuple(COLUMNS[name] for name in names)
+    return Table(title, tuple(names), tuple(tuple(row[name] for name in names) for row in cells), importance)
+
+
+def _cells(row: PairedRow) -> dict[str, str]:
+    one, other = row.counts
+    interval = row.time_interval
+    return {
+        "entry": row.entry + ("" if row.same_scenario else MARK),
+        "method": row.title,
+        "pairs": str(row.pairs),
+        **{heading: f"{one[name]}/{other[name]}" for name, heading in NAMES.items()},
+        "gained": str(row.gained),
+        "lost": str(row.lost),
+        "p": f"{row.p:.2g}",
+        "both": str(row.both),
+        "dT s": _signed(row.time_difference),
+        "dT 95 % CI": "-" if interval is None else f"{_signed(interval[0])} to {_signed(interval[1])}",
+        "same": f"{row.identical}/{row.digests}" if row.digests else "-",
+    }
+
+
+def _signed(seconds: float | None) -> str:
+    """Difference with its sign: ``+0.12``, ``-0.30``, ``0.00``."""
+    text = decimals(seconds, 2)
+    if seconds is None or float(text) == 0.0:
+        return text.removeprefix("-") or text
+    return f"+{text}" if seconds > 0.0 else text
+
+
+def _difference(difference: Difference) -> str:
+    one, other = (_value(value) for value in (difference.one, difference.other))
+    return f"{'.'.join(difference.path)}: {one} in A, {other} in B"
+
+
+def _value(value: Any) -> str:
+    if value is MISSING:
+        return "absent"
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= VALUE_MAX else f"{text[: VALUE_MAX - 3]}..."
