@@ -162,8 +162,11 @@ def valid(model: type[Model], document: Document) -> Model:
     return value
 
 
-def check(model: type[Model], document: Document) -> tuple[Model | None, list[Diagnostic]]:
-    """Validate a document. Returns the model or None, and all problems, those of the syntax included."""
+def check(model: type[Model], document: Document, *, across_keys: bool = True) -> tuple[Model | None, list[Diagnostic]]:
+    """Validate a document. Returns the model or None, and all problems, those of the syntax included.
+
+    Without `across_keys` the problems between keys are left out: the document is a part of one.
+    """
     problems = list(document.problems)
     if _is_of_another_kind(model, document.data):
         expected = f"expected the keys {', '.join(_fields(model))}"
@@ -178,10 +181,13 @@ def check(model: type[Model], document: Document) -> tuple[Model | None, list[Di
         for detail in details:
             if _counts_bad_items_as_absent(detail) or (detail["type"] == "missing" and detail["loc"] in misspelt):
                 continue
+            if detail["type"] == "kraft" and not across_keys:
+                continue
             unknown = detail["type"] == "extra_forbidden"  # reported even if its value is unusable too
             if unknown or not _already_reported(in_file(model, detail["loc"]), document):
                 problems.append(_diagnostic(model, document, detail))
-        problems = list(dict.fromkeys([*problems, *_across_keys(model, document)]))
+        between = _across_keys(model, document) if across_keys else ()
+        problems = list(dict.fromkeys([*problems, *between]))
     return (None if problems else value), problems
 
 

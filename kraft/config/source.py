@@ -43,7 +43,7 @@ def parse_path(text: str) -> KeyPath:
 
 @dataclass(frozen=True)
 class Place:
-    """Place where the value of an override was given: an argument, or a position in another file.
+    """Place where a value was given that is not in the file itself: an argument, or a position in another file.
 
     Relative paths in the value begin at `folder`, by default the working directory.
     """
@@ -61,7 +61,9 @@ class Place:
 
 @dataclass(frozen=True)
 class Source:
-    """Positions of the values and keys of one file, and the places of values that replace those of the file.
+    """Positions of the values and keys of one file, and the places of values that it does not state itself.
+
+    Those are values that replace the ones of the file, and values of its base.
 
     A scenario that was built in code has an empty source, which has no positions.
     """
@@ -91,6 +93,11 @@ class Source:
         """
         ends = range(len(path), -1, -1)
         return next((self.replaced[path[:end]] for end in ends if path[:end] in self.replaced), None)
+
+    def folder(self, path: KeyPath | str) -> Path:
+        """Folder that a relative path in the value at `path` begins at."""
+        place = self.replacement(parse_path(path) if isinstance(path, str) else path)
+        return Path(self.file).parent if place is None else place.folder or Path.cwd()
 
     def diagnostic(
         self, path: KeyPath | str, problem: str, expected: str, *, at_key: bool = False, code: Code = Code.VALUE

@@ -14,6 +14,7 @@ from pydantic import Field, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
 
 from kraft.config import bundled
+from kraft.config.base import BasedFiles
 from kraft.config.schema import (
     Name,
     NonNegative,
@@ -21,7 +22,6 @@ from kraft.config.schema import (
     Probability,
     StrictModel,
     is_number,
-    read_model,
     refuse,
 )
 from kraft.config.source import Source
@@ -322,8 +322,13 @@ EstimatorSettings = Annotated[Latest | Filter | Adaptive | Oracle, Field(discrim
 
 
 class Method(StrictModel):
-    """A method file."""
+    """A method file.
 
+    A method that was loaded has the keys of its base, and no `base`.
+    """
+
+    base: str | None = Field(default=None, exclude=True)
+    """method whose keys those of this file override: a name, or a file relative to this one"""
     name: Name
     """short name of letters, digits, - and _"""
     title: str
@@ -361,13 +366,16 @@ class Method(StrictModel):
         return self._source
 
 
+METHOD_FILES: Final = BasedFiles("method", Method, ("name", "title", "description"))
+
+
 def load_method(name_or_path: str | Path) -> Method:
-    """Load a bundled method (``kraft``) or a method file.
+    """Load a bundled method (``kraft``) or a method file, with the keys of its base.
 
     Raises:
-        InputError: with every problem of the file, or if there is no such name or file.
+        InputError: with every problem of the file and of its base, or if there is no such name or file.
     """
-    method, document = read_model(bundled.find("method", name_or_path), Method)
+    method, document = METHOD_FILES.read(bundled.find("method", name_or_path))
     method._source = document.source  # frozen fields stay as they are; this is where they came from
     return method
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Final
 
 from kraft.driving.method import Adaptive, Method, check_vehicle
@@ -42,7 +41,7 @@ def vehicle_reference(scenario: Scenario, method: Method, vehicle: str | None = 
     """Reference of the model that the robot plans with: `vehicle`, else the method's own, else the scenario's.
 
     The method's own is used if it is a model of the robot that the scenario's vehicle is a model of.  A path in a
-    method file is relative to that file.
+    method file is relative to that file, also if another method has it from there.
 
     Raises:
         InputError: if the method's reference is wrong, reported at its line.
@@ -50,7 +49,7 @@ def vehicle_reference(scenario: Scenario, method: Method, vehicle: str | None = 
     if vehicle is not None or method.planner.vehicle is None:
         return scenario.vehicle if vehicle is None else vehicle
     try:
-        own = resolve_vehicle(method.planner.vehicle, Path(method.source.file).parent)
+        own = resolve_vehicle(method.planner.vehicle, method.source.folder("planner.vehicle"))
     except VehicleProblem as error:
         problem = method.source.diagnostic("planner.vehicle", error.problem, error.expected, code=error.code)
         raise InputError([problem]) from None

@@ -12,6 +12,7 @@ from pydantic import BaseModel
 from kraft.config import bundled
 from kraft.config.document import Document
 from kraft.config.schema import check, valid
+from kraft.config.source import Source
 from kraft.config.yaml_reader import read_document
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, MissingError, Problems, Unreachable
@@ -200,25 +201,26 @@ def _check_car(document: Document) -> None:
 
 
 def _check_method(document: Document, path: Path) -> None:
-    """Check a method file, and the vehicle that it names also if another key is wrong."""
+    """Check a method file, and the vehicle that it or its base names also if another key is wrong."""
     problems = Problems()
     method = problems.of(lambda: load_method(path))
     planner = document.data.get("planner") if isinstance(document.data, dict) else None
     named = planner.get("vehicle") if isinstance(planner, dict) else None
-    vehicle = problems.of(lambda: _planning_vehicle(named, document, path.parent)) if isinstance(named, str) else None
+    source = document.source
+    if method is not None:
+        named, source = method.planner.vehicle, method.source
+    vehicle = problems.of(lambda: _planning_vehicle(named, source)) if isinstance(named, str) else None
     problems.check()
     if method is not None and vehicle is not None:
         check_vehicle(method, vehicle, own=True)
 
 
-def _planning_vehicle(reference: str, document: Document, folder: Path) -> Vehicle:
+def _planning_vehicle(reference: str, source: Source) -> Vehicle:
     """Vehicle that a method names; problems of the reference are reported at its line."""
     try:
-        return load_vehicle(reference, folder)
+        return load_vehicle(reference, source.folder("planner.vehicle"))
     except InputError as error:
         raise InputError(
-            document.source.diagnostic("planner.vehicle", d.problem, d.expected, code=d.code)
-            if d.file == reference
-            else d
+            source.diagnostic("planner.vehicle", d.problem, d.expected, code=d.code) if d.file == reference else d
             for d in error.diagnostics
         ) from error
