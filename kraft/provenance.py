@@ -6,7 +6,7 @@ import hashlib
 import json
 import platform
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import fields, is_dataclass
 from importlib.metadata import distribution, version
 from typing import Any, Final
@@ -22,6 +22,9 @@ SIMULATION: Final = (*PLANNING, "mujoco", "scipy")
 """Distributions that a trial depends on."""
 IDENTIFICATION: Final = ("gtsam", "numba", "numpy", "scipy")
 """Distributions that identified parameters depend on."""
+
+MISSING: Final = object()
+"""Stands for a value that is absent."""
 
 
 def versions(distributions: Iterable[str]) -> dict[str, str]:
@@ -67,3 +70,33 @@ def plain(value: Any) -> Any:
 def plain_hash(value: Any) -> str:
     """SHA-256 of the plain data of a value."""
     return hashlib.sha256(json.dumps(plain(value), sort_keys=True).encode()).hexdigest()
+
+
+def differences(was: Any, now: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
+    """Keys and both values of every difference between two JSON values; a hash only where no value differs.
+
+    A value that is absent is `MISSING`.
+    """
+    if isinstance(was, dict) and isinstance(now, dict):
+        found = [
+            difference
+            for key in {**was, **now}
+            for difference in differences(was.get(key, MISSING), now.get(key, MISSING), (*path, key))
+        ]
+        of_values = [difference for difference in found if difference[0][-1] != "sha256"]
+        yield from of_values or found
+    elif was != now:
+        yield path, was, now
+
+
+def difference_text(was: Any, now: Any) -> str:
+    """Difference of a value from what it was: ``was 3, is 4 now``."""
+    if was is MISSING:
+        return f"was absent, is {_json(now)} now"
+    if now is MISSING:
+        return f"was {_json(was)}, is absent now"
+    return f"was {_json(was)}, is {_json(now)} now"
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False)

@@ -7,8 +7,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 from kraft.evaluation.comparison import OUTCOMES, Comparison, PairedRow
-from kraft.evaluation.manifest import MISSING, Difference
+from kraft.evaluation.manifest import Difference
 from kraft.evaluation.table import Table
+from kraft.provenance import MISSING
 from kraft.text import counted, decimals, listed
 
 COLUMNS: Final = {

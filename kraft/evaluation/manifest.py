@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,7 +14,7 @@ from kraft.driving.method import Method
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation.experiment import Experiment
 from kraft.planning.plan_file import vehicle_content
-from kraft.provenance import SIMULATION, plain, plain_hash, versions
+from kraft.provenance import MISSING, SIMULATION, difference_text, differences, plain, plain_hash, versions
 from kraft.scenario import Scenario
 
 MANIFEST: Final = "manifest.json"
@@ -33,8 +33,6 @@ SECTIONS: Final = ("scenarios", "methods", "vehicles")
 ESTIMATION: Final = ("ranges", "gravity_share", "delay", "errors_by_speed")
 """What of a vehicle only estimators use."""
 ROW_KEYS: Final = {"scenario", "method", "vehicle"}
-MISSING: Final = object()
-"""Stands for a value that is absent."""
 
 
 def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -134,7 +132,7 @@ def check_continues(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) 
     for rows in (before["rows"], after["rows"]):  # rows of one side alone are reported by their scenario or method
         for row in rows.keys() - (before["rows"].keys() & after["rows"].keys()):
             del rows[row]
-    differing = list(_differences(before, after))
+    differing = list(differences(before, after))
     if differing:
         raise InputError(
             Diagnostic(
@@ -171,7 +169,7 @@ def manifest_differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> li
         common = before.get(section, {}).keys() & after.get(section, {}).keys()  # older manifests have no methods
         for content in (before, after):
             content[section] = {name: value for name, value in content.get(section, {}).items() if name in common}
-    return [Difference(*found) for found in _differences(before, after)]
+    return [Difference(*found) for found in differences(before, after)]
 
 
 def _relabel_vehicles(before: dict[str, Any], after: dict[str, Any]) -> None:
@@ -212,29 +210,13 @@ def _compared(content: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def _differences(was: Any, now: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
-    """Keys and both values of every difference; a hash only where no value differs."""
-    if isinstance(was, dict) and isinstance(now, dict):
-        found = [
-            difference
-            for key in {**was, **now}
-            for difference in _differences(was.get(key, MISSING), now.get(key, MISSING), (*path, key))
-        ]
-        of_values = [difference for difference in found if difference[0][-1] != "sha256"]
-        yield from of_values or found
-    elif was != now:
-        yield path, was, now
-
-
 def _difference(keys: tuple[str, ...], before: Any, after: Any) -> str:
     """Message about a difference."""
     part = f"{keys[0].removesuffix('s')} {keys[-1]}"
     known = keys[0] in SECTIONS and len(keys) == 2
-    if before is MISSING:
-        return f"{part} is not in the folder's evaluation" if known else f"was absent, is {_json(after)} now"
-    if after is MISSING:
-        return f"{part} is missing now" if known else f"was {_json(before)}, is absent now"
-    return f"was {_json(before)}, is {_json(after)} now"
+    if known and before is MISSING:
+        return f"{part} is not in the folder's evaluation"
+    return f"{part} is missing now" if known and after is MISSING else difference_text(before, after)
 
 
 def _expected(keys: tuple[str, ...], before: Any) -> str:
@@ -244,10 +226,6 @@ def _expected(keys: tuple[str, ...], before: Any) -> str:
     if keys[0] == "methods" and len(keys) == 2:
         return "expected it among the methods, as they may become more but not fewer, or another folder"
     return "expected no change, or another folder"
-
-
-def _json(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False)
 
 
 def _labels(names: Mapping[str, str]) -> dict[str, str]:

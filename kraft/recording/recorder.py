@@ -11,7 +11,7 @@ LOGS/run_01/manifest.json   manoeuvre, start, vehicle, scenario, seed, versions
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
@@ -164,6 +164,10 @@ class Recorder:
         self._world = world_of(scenario, vehicle, seed, visuals=False)
         self._vehicle = RecordedVehicle.of(vehicle, true_robot(scenario, vehicle).robot)
 
+    def described(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        """Keys of the manifests that are the same for all runs; `arguments` are those of the user."""
+        return _common(self._scenario, arguments, self._vehicle, tuple(self._model.vehicle.controls))
+
     def place(self, number: int, path: Matrix) -> Place:
         """Start of run `number` if it is to drive a path of poses (m, 3) from the origin, `PATH_STEP` apart."""
         return self._free_space.place(path, self._generator(number))
@@ -265,6 +269,14 @@ UNITS: Final = {
 }  # fmt: skip
 """Units of the columns; controls of other vehicles than cars have those of their model."""
 
+KEYS: Final = (
+    "schema", "arguments", "run", "manoeuvre", "start", "end", "note", "vehicle", "commands", "poses", "units", "clock",
+    "scenario", "versions",
+)  # fmt: skip
+"""Keys of a manifest, in their order."""
+FILES: Final = ("commands.csv", "poses.csv", "truth.csv", "manifest.json")
+"""Files of a run."""
+
 
 def write_recording(folder: Path, scenario: Scenario, arguments: Mapping[str, Any], recording: Recording) -> Path:
     """Write a run into its own new folder in `folder`, in one step, and return that folder.
@@ -284,19 +296,29 @@ def write_recording(folder: Path, scenario: Scenario, arguments: Mapping[str, An
 def _manifest(scenario: Scenario, arguments: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
     """Content of the manifest: everything that repeating the run needs, and no time of day."""
     start = recording.place.start
-    described = {f.name: plain(getattr(scenario, f.name)) for f in fields(scenario) if f.compare}
-    return {
-        "schema": SCHEMA,
-        "arguments": dict(arguments),
+    common = _common(scenario, arguments, recording.vehicle, recording.controls)
+    mine = {
         "run": recording.number,
         "manoeuvre": recording.manoeuvre.name,
         "start": {"x": start.x, "y": start.y, "heading": start.heading},
         "end": recording.end,
         "note": recording.note,
-        "vehicle": recording.vehicle.model_dump(mode="json", exclude_none=True),
         "commands": len(recording.commands),
         "poses": len(recording.poses),
-        "units": {name: unit for name, unit in UNITS.items() if name in (*POSES, *TRUTH, *recording.controls)},
+    }
+    return {key: {**common, **mine}[key] for key in KEYS}
+
+
+def _common(
+    scenario: Scenario, arguments: Mapping[str, Any], vehicle: RecordedVehicle, controls: Sequence[str]
+) -> dict[str, Any]:
+    """Keys of the manifest that are the same for all runs of a recording."""
+    described = {f.name: plain(getattr(scenario, f.name)) for f in fields(scenario) if f.compare}
+    return {
+        "schema": SCHEMA,
+        "arguments": dict(arguments),
+        "vehicle": vehicle.model_dump(mode="json", exclude_none=True),
+        "units": {name: unit for name, unit in UNITS.items() if name in (*POSES, *TRUTH, *controls)},
         "clock": "both files count from the beginning of the run; a pose carries the time its frame was taken",
         "scenario": {"sha256": plain_hash(described), "content": described},
         "versions": versions(SIMULATION),

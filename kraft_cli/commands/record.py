@@ -15,7 +15,7 @@ from kraft_cli.terminal import Terminal
 if TYPE_CHECKING:
     from kraft_cli.work.record import RecordedRun
 
-Scenario = Annotated[str, typer.Argument(metavar="[SCENARIO]", help="A bundled name or the path of a file.")]
+Scenario = Annotated[str | None, typer.Argument(metavar="[SCENARIO]", help="A bundled name or the path of a file.")]
 Out = Annotated[Path, typer.Option(metavar="LOGS", help="New folder for the logs.")]
 VehicleName = Annotated[
     str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle to drive, instead of the scenario's.")
@@ -29,22 +29,27 @@ Commands = Annotated[
     list[Path] | None,
     typer.Option(metavar="FILE|FOLDER", help="Drive these commands: files, or a folder of kraft sysid --commands."),
 ]
-Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same logs.")]
+Seed = Annotated[int | None, typer.Option(metavar="N", help="Seed: the same one gives the same logs; 0.")]
 Bag = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Write the runs as ROS 2 messages too: FILE_01.mcap and so on.")
+]
+
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Continue an interrupted recording in LOGS, with the same options.")
 ]
 
 
 def record(
     context: typer.Context,
-    scenario: Scenario = "training",
+    scenario: Scenario = None,
     vehicle: VehicleName = None,
     out: Out = Path("logs"),
     runs: Runs = None,
-    seed: Seed = 0,
+    seed: Seed = None,
     for_: For = None,
     commands: Commands = None,
     bag: Bag = None,
+    resume: Resume = False,
     json: Json = False,
 ) -> ExitStatus:
     """Drive manoeuvres in simulation and log them, for kraft sysid.
@@ -52,14 +57,16 @@ def record(
     They are driven without feedback; the logs have commands and measured poses.
     """
     from kraft.text import counted
-    from kraft_cli.work.record import RecordRequest, record_logs
+    from kraft_cli.work.record import record_logs, request_of, resume_command
 
     terminal: Terminal = context.obj
-    request = RecordRequest(scenario, out, runs, seed, vehicle, for_, tuple(commands or ()), bag)
+    request = request_of(scenario, out, runs, seed, vehicle, for_, tuple(commands or ()), bag, resume=resume)
     done: list[RecordedRun] = []
 
     def ended(run: RecordedRun) -> None:
         done.append(run)
+        if run.kept:
+            return
         note = f"; {run.note}" if run.note else ""
         poses = counted(run.poses, "pose")
         terminal.info(f"{len(done)}/{run.of}  {run.folder}: {run.manoeuvre}, {run.duration:.1f} s, {poses}{note}")
@@ -67,13 +74,13 @@ def record(
     try:
         record_logs(request, terminal.info, ended)
     except KeyboardInterrupt as error:
-        kept = (
-            f"; {len(done)} of {counted(done[-1].of, 'run')} kept in {out}" if done else " before the first run ended"
-        )
+        kept = " before the first run ended"
+        if done:
+            kept = f"; {len(done)} of {counted(done[-1].of, 'run')} kept in {out}; to resume: {resume_command(request)}"
         terminal.problem(f"stopped{kept}")
         return status_of(error)
     if json:
-        terminal.json("kraft.record/1", _content(scenario, seed, out, done))
+        terminal.json("kraft.record/1", _content(request.scenario, request.seed, out, done))
     else:
         terminal.data(f"{counted(len(done), 'log')} in {out}; kraft sysid {out} identifies the vehicle from them")
     return ExitStatus.DONE
@@ -88,6 +95,7 @@ def _content(scenario: str, seed: int, out: Path, done: list[RecordedRun]) -> di
             "commands": run.commands,
             "poses": run.poses,
             "note": run.note,
+            "kept": run.kept,
         }
         for run in done
     ]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import shlex
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
 from kraft.files import check_new_folder
@@ -23,10 +24,13 @@ from kraft_cli.work.next_drives import COUNT_MAX, drives_for, load_prior
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from kraft.recording.recorder import Place
+    from kraft.recording.recorder import Place, Recorder
+
+    _Drive: TypeAlias = tuple[Manoeuvre, Place | None]
 
 RUNS: Final = 10
 """Number of random runs by default."""
+NEW: Final = "expected a new folder for the logs, or --resume to continue the recording in it"
 PLANNED_RUNS: Final = 3
 """Number of recommended drives by default."""
 
@@ -35,8 +39,8 @@ PLANNED_RUNS: Final = 3
 class RecordRequest:
     """Options of `kraft record` as written.
 
-    `out` is a new folder, `model` that whose parameters the drives show, `bag` the file of a bag, or of several by
-    number.
+    `out` is a new folder, or with `resume` that of an interrupted recording.  `model` is that whose parameters the
+    drives show, `bag` the file of a bag, or of several by number.
     """
 
     scenario: str = "training"
@@ -47,6 +51,7 @@ class RecordRequest:
     model: str | None = None
     commands: tuple[Path, ...] = ()
     bag: Path | None = None
+    resume: bool = False
 
     @property
     def count(self) -> int:
@@ -67,6 +72,8 @@ class RecordedRun:
     note: str
     of: int
     """number of runs"""
+    kept: bool = False
+    """whether the folder had it already"""
 
 
 @dataclass(frozen=True)
@@ -80,22 +87,67 @@ class _Inputs:
     manoeuvres: Sequence[Manoeuvre]
 
 
+def request_of(
+    scenario: str | None,
+    out: Path,
+    runs: int | None,
+    seed: int | None,
+    vehicle: str | None,
+    model: str | None,
+    commands: tuple[Path, ...],
+    bag: Path | None,
+    *,
+    resume: bool,
+) -> RecordRequest:
+    """Request of options, of which those are None or empty that were left out: with `resume` as the folder has them.
+
+    Raises:
+        InputError: if the folder to resume does not exist or is damaged.
+    """
+    recorded = _recorded_arguments(out) if resume else {}
+    return RecordRequest(
+        recorded.get("scenario", RecordRequest.scenario) if scenario is None else scenario,
+        out,
+        recorded.get("runs") if runs is None and "commands" not in recorded else runs,
+        recorded.get("seed", 0) if seed is None else seed,
+        vehicle or recorded.get("vehicle"),
+        model or recorded.get("for"),
+        commands or tuple(map(Path, recorded.get("commands", ()))),
+        bag,
+        resume,
+    )
+
+
+def resume_command(request: RecordRequest) -> str:
+    """Command that resumes the recording: the folder has the options, except for the bag."""
+    bag = [] if request.bag is None else ["--bag", str(request.bag)]
+    return shlex.join(["kraft", "record", "--out", str(request.out), *bag, "--resume"])
+
+
+def _recorded_arguments(folder: Path) -> dict[str, Any]:
+    """Arguments of an interrupted recording; none if it was interrupted before its first run."""
+    from kraft.recording.resumption import finished_runs  # loads the simulator
+
+    runs = finished_runs(folder)
+    return dict(next(iter(runs.values())).manifest["arguments"]) if runs else {}
+
+
 def record_logs(
     request: RecordRequest, report: Callable[[str], None], on_run: Callable[[RecordedRun], None] | None = None
 ) -> tuple[RecordedRun, ...]:
     """Record all runs; each is written when it ends, so that an interrupt keeps the finished ones.
 
+    With `resume` the runs that the folder has are kept; `on_run` receives them too.
+
     Raises:
         InputError: with the problems of the request and of the files it names, before the first run; if the scenario
-            has no free space for a run.
+            has no free space for a run; with every difference of the folder to resume.
     """
-    from kraft.recording.recorder import Recorder, write_recording  # these load the simulator
-    from kraft.robot.bag import bag_of_run
-    from kraft.robot.bag import write_recording as write_bag
+    from kraft.recording.recorder import Recorder  # this loads the simulator
 
     inputs = _inputs(request)
     scenario, vehicle, files, prior = inputs.scenario, inputs.vehicle, inputs.files, inputs.prior
-    drives: list[tuple[Manoeuvre, Place | None]] = [(manoeuvre, None) for manoeuvre in inputs.manoeuvres]
+    drives: list[_Drive] = [(manoeuvre, None) for manoeuvre in inputs.manoeuvres]
     for text in (far_camera(scenario, anywhere=True), other_robot(scenario, vehicle)):
         if text:
             report(f"warning: {text}")
@@ -105,17 +157,79 @@ def record_logs(
         drives = drives_for(prior, scenario, recorder, request.count, request.seed, report)
     runs = len(drives) or request.count
     arguments = _arguments(request, runs, files)
+    kept = _kept_runs(request.out, recorder.described(arguments), drives, runs) if request.resume else {}
     done = []
     for number in range(1, runs + 1):
-        recording = recorder.record(number, *(drives[number - 1] if drives else ()))
-        folder = write_recording(request.out, scenario, arguments, recording)
-        if request.bag is not None:
-            write_bag(bag_of_run(request.bag, number, runs), scenario.task(), vehicle, recording)
-        logged = len(recording.commands), len(recording.poses)
-        done.append(RecordedRun(folder, recording.manoeuvre.name, recording.end, *logged, recording.note, runs))
+        drive = drives[number - 1] if drives else ()
+        done.append(kept.get(number) or _record(request, inputs, recorder, arguments, drive, number, runs))
+        if number in kept:
+            _write_missing_bag(request, inputs, recorder, drive, number, runs)
         if on_run is not None:
             on_run(done[-1])
     return tuple(done)
+
+
+def _record(
+    request: RecordRequest,
+    inputs: _Inputs,
+    recorder: Recorder,
+    arguments: Mapping[str, Any],
+    drive: _Drive | tuple[()],
+    number: int,
+    runs: int,
+) -> RecordedRun:
+    """Drive a run and write it."""
+    from kraft.recording.recorder import write_recording
+    from kraft.robot.bag import bag_of_run
+    from kraft.robot.bag import write_recording as write_bag
+
+    recording = recorder.record(number, *drive)
+    folder = write_recording(request.out, inputs.scenario, arguments, recording)
+    if request.bag is not None:
+        write_bag(bag_of_run(request.bag, number, runs), inputs.scenario.task(), inputs.vehicle, recording)
+    logged = len(recording.commands), len(recording.poses)
+    return RecordedRun(folder, recording.manoeuvre.name, recording.end, *logged, recording.note, runs)
+
+
+def _kept_runs(out: Path, described: Mapping[str, Any], drives: Sequence[_Drive], runs: int) -> dict[int, RecordedRun]:
+    """Runs that the folder has, by number; what a kill left of another one is removed.
+
+    Raises:
+        InputError: with every problem and difference of the folder.
+    """
+    from kraft.recording.resumption import check_same_commands, check_same_recording, finished_runs, remove_unfinished
+
+    finished = finished_runs(out)
+    check_same_recording(finished.values(), described, runs)
+    problems = Problems()
+    for run in finished.values():
+        if drives:
+            problems.of(partial(check_same_commands, run, drives[run.number - 1][0]))
+    problems.check()
+    remove_unfinished(out)
+    kept = {}
+    for number, run in finished.items():
+        manoeuvre, end, commands, poses, note = (
+            run.manifest[key] for key in ("manoeuvre", "end", "commands", "poses", "note")
+        )
+        kept[number] = RecordedRun(run.folder, manoeuvre, end, commands, poses, note, runs, kept=True)
+    return kept
+
+
+def _write_missing_bag(
+    request: RecordRequest,
+    inputs: _Inputs,
+    recorder: Recorder,
+    drive: _Drive | tuple[()],
+    number: int,
+    runs: int,
+) -> None:
+    """Drive a run again if its bag is asked for and missing, as after a kill between the two, and write that."""
+    from kraft.robot.bag import bag_of_run
+    from kraft.robot.bag import write_recording as write_bag
+
+    if request.bag is not None and not (path := bag_of_run(request.bag, number, runs)).exists():
+        write_bag(path, inputs.scenario.task(), inputs.vehicle, recorder.record(number, *drive))
 
 
 def _inputs(request: RecordRequest) -> _Inputs:
@@ -135,7 +249,8 @@ def _inputs(request: RecordRequest) -> _Inputs:
         vehicle = problems.of(lambda: load_vehicle(named))
     elif scenario is not None:
         vehicle = problems.of(lambda: vehicle_of_task(scenario))
-    problems.of(lambda: check_new_folder(out, "expected a new folder for the logs"))
+    if not request.resume:
+        problems.of(lambda: check_new_folder(out, NEW))
     if bag is not None:
         problems.of(lambda: check_bag(bag))
     prior = None if model is None else problems.of(lambda: load_prior(model, vehicle))

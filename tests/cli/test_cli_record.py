@@ -82,7 +82,9 @@ def test_an_interrupt_keeps_the_finished_runs(
 
     monkeypatch.setattr(Recorder, "record", interrupted)
     assert main(["record", "--runs", "3"]) == 130
-    assert capsys.readouterr().err.splitlines()[-1] == "stopped; 1 of 3 runs kept in logs"
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        "stopped; 1 of 3 runs kept in logs; to resume: kraft record --out logs --resume"
+    )
     assert {path.name for path in (folder / "logs").iterdir()} == {"run_01"}
     assert {path.name for path in (folder / "logs" / "run_01").iterdir()} == FILES
 

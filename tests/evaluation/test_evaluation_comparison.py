@@ -14,7 +14,7 @@ from kraft.errors import Code
 from kraft.evaluation import compare, evaluate
 from kraft.evaluation.comparison import Comparison, PairedRow
 from kraft.evaluation.comparison_table import comparison_tables, remarks
-from kraft.evaluation.manifest import MISSING
+from kraft.provenance import MISSING
 from kraft.trial.measures import Step
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 

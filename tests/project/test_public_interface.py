@@ -53,7 +53,7 @@ COMMANDS = {
     "import": "kind sources --goal --json --out --skip --start --vehicle",
     "list": "what --json",
     "plan": "scenario --after --from --iterations --json --out --param --planner --plot --seed --set --threads --time --vehicle",
-    "record": "scenario --bag --commands --for --json --out --runs --seed --vehicle",
+    "record": "scenario --bag --commands --for --json --out --resume --runs --seed --vehicle",
     "report": "results --out --serve",
     "run": "scenario --bag --json --method --out --plot --realtime --seed --set --vehicle --video --view",
     "sysid": "logs --area --commands --extras --freeze --graph --holdout --horizon --json --mapping --model --next --out "
