@@ -31,14 +31,13 @@ app = typer.Typer(
     name="kraft",
     help="Plan and drive safely with an approximate model of the vehicle.",
     invoke_without_command=True,
-    add_completion=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
-def _print_version(requested: bool) -> None:
-    if requested:
+def _print_version(context: typer.Context, requested: bool) -> None:
+    if requested and not context.resilient_parsing:  # otherwise the shell completes a line that has the option
         typer.echo(f"kraft {__version__}")
         raise typer.Exit
 

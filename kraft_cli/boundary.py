@@ -47,6 +47,8 @@ def guarded(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus
         return ExitStatus.DONE
     except typer.Exit as request:
         return ExitStatus(request.exit_code)
+    except SystemExit as request:  # typer's options that install or show the completion, and its answer to fish
+        return ExitStatus(int(request.code or 0))
     except Exception as error:  # every exception has to end in an exit code
         status = explain(terminal, error)
     return status

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from functools import cache
@@ -11,6 +12,7 @@ import typer
 
 from kraft_cli.app import GLOBAL_FLAGS, app
 from kraft_cli.boundary import guarded
+from kraft_cli.completion import VARIABLE, complete
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -23,6 +25,8 @@ def main(argv: Sequence[str] | None = None, terminal: Terminal | None = None) ->
 
     def command() -> ExitStatus:
         program = _program()
+        if instruction := os.environ.get(VARIABLE):
+            return complete(program, terminal, instruction)
         with program.make_context("kraft", arguments, obj=terminal) as context:
             result = program.invoke(context)
         return ExitStatus.DONE if result is None else ExitStatus(result)

@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
-from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, InputError, MissingAsset
 from kraft.text import nearest, suggestion
 
@@ -49,6 +48,8 @@ def names(kind: Kind) -> tuple[str, ...]:
 
 def descriptions(kind: Kind) -> dict[str, str]:
     """Description of each bundled file by name; the rest of the file is not checked."""
+    from kraft.config.yaml_reader import read_document  # loads PyYAML, which names do not need
+
     result = {}
     for name in names(kind):
         data = read_document(folder(kind) / f"{name}.yaml").data

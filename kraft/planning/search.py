@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from kraft.errors import Code, InputError, out_of_range
-from kraft.scenario.planning import PLANNERS
+from kraft.scenario.planners import PLANNERS
 from kraft.text import suggestion
 from ompl_ext.arrays import Floats
 from ompl_ext.interpolation import interpolated_rows

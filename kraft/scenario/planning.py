@@ -13,15 +13,6 @@ from pydantic_core import PydanticCustomError
 from kraft.config.schema import NonNegative, Probability, StrictModel, build, is_number, refuse
 from kraft.errors import Code, InputError
 
-PLANNERS: Final[dict[str, str]] = {
-    "dirt": "Dominance-Informed Region Tree: asymptotically optimal and anytime, with retainment and SAFETY",
-    "sst": "Stable Sparse Tree: asymptotically near-optimal and anytime, with the propagation and the checks of dirt",
-    "rrt": "OMPL's Rapidly-exploring Random Tree",
-    "est": "OMPL's Expansive Space Trees",
-    "kpiece1": "OMPL's Kinodynamic Planning by Interior-Exterior Cell Exploration",
-}
-
-
 STEPS_MAX: Final = 100_000  # of an edge, as many as the planner has memory for (`ompl_ext.query.MAX_STEPS`)
 ROUNDING: Final = 1e-9  # of the quotient of a duration and a step
 DEFAULT_ITERATIONS: Final = 20_000

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from kraft_cli import completion
 from kraft_cli.commands.options import Json
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
@@ -15,7 +16,12 @@ from kraft_cli.terminal import Terminal
 def doctor(
     context: typer.Context,
     robot: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE", help="Check the topics of a robot too (kraft list robots).")
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Check the topics of a robot too (kraft list robots).",
+            autocompletion=completion.robots,
+        ),
     ] = None,
     json: Json = False,
 ) -> ExitStatus:

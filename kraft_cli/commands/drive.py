@@ -7,19 +7,31 @@ from typing import Annotated
 
 import typer
 
+from kraft_cli import completion
 from kraft_cli.commands.options import Json, PlanningModel, ScenarioName, Set
 from kraft_cli.commands.run import Video, View, driven_status
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
-RobotName = Annotated[str, typer.Option("--robot", metavar="NAME|FILE", help="The robot (kraft list robots).")]
-Method = Annotated[str, typer.Option(metavar="NAME|FILE", help="Method with a contingency on board.")]
+RobotName = Annotated[
+    str,
+    typer.Option(
+        "--robot", metavar="NAME|FILE", help="The robot (kraft list robots).", autocompletion=completion.robots
+    ),
+]
+Method = Annotated[
+    str,
+    typer.Option(metavar="NAME|FILE", help="Method with a contingency on board.", autocompletion=completion.methods),
+]
 PlannerSeed = Annotated[int, typer.Option(metavar="N", help="Seed of the planner; the drive depends on the clock too.")]
 WorldSeed = Annotated[int, typer.Option(metavar="N", help="Seed of the camera's errors and of the motion's noise.")]
 SimulatedVehicle = Annotated[
     str | None,
     typer.Option(
-        "--vehicle", metavar="NAME|FILE", help="Vehicle whose true robot is simulated, instead of the scenario's."
+        "--vehicle",
+        metavar="NAME|FILE",
+        help="Vehicle whose true robot is simulated, instead of the scenario's.",
+        autocompletion=completion.vehicles,
     ),
 ]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write the drive into a new folder, as it is driven.")]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kraft_cli import completion
 from kraft_cli.commands.options import Json, PlanningModel
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
@@ -15,10 +16,18 @@ if TYPE_CHECKING:
     from kraft.evaluation import Evaluation
 
 Scenarios = Annotated[
-    list[str] | None, typer.Argument(metavar="[SCENARIO]...", help="Names or files; the six of the suite paper.")
+    list[str] | None,
+    typer.Argument(
+        metavar="[SCENARIO]...", help="Names or files; the six of the suite paper.", autocompletion=completion.scenarios
+    ),
 ]
 Suite = Annotated[
-    str | None, typer.Option(metavar="NAME|FILE", help="Scenarios of a suite (kraft list suites), with their keys set.")
+    str | None,
+    typer.Option(
+        metavar="NAME|FILE",
+        help="Scenarios of a suite (kraft list suites), with their keys set.",
+        autocompletion=completion.suites,
+    ),
 ]
 Set = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace the value of a key of all scenarios.")
@@ -27,7 +36,14 @@ Vary = Annotated[
     list[str] | None, typer.Option(metavar="KEY=V1,V2", help="Run the scenarios once with each value of a key.")
 ]
 Trials = Annotated[int | None, typer.Option(metavar="N", help="Trials of each method in each scenario (30).")]
-Methods = Annotated[str | None, typer.Option(metavar="A,B", help="Methods (kraft list methods); the paper's seven.")]
+Methods = Annotated[
+    str | None,
+    typer.Option(
+        metavar="A,B",
+        help="Methods (kraft list methods); the paper's seven.",
+        autocompletion=completion.comma_separated(completion.methods),
+    ),
+]
 Seed = Annotated[int | None, typer.Option(metavar="N", help="Trial i has the seed N + i; N is 0.")]
 Jobs = Annotated[int | None, typer.Option(metavar="N", help="Worker processes; one for each core.")]
 ClusterAddress = Annotated[

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from kraft_cli import completion
 from kraft_cli.commands.options import Json
 from kraft_cli.terminal import Terminal
 
@@ -14,7 +15,9 @@ THINGS = ("scenarios", "suites", "methods", "vehicles", "planners", "robots")
 
 def list_(
     context: typer.Context,
-    what: Annotated[str, typer.Argument(metavar="|".join(THINGS), help="What to list.")],
+    what: Annotated[
+        str, typer.Argument(metavar="|".join(THINGS), help="What to list.", autocompletion=completion.words(*THINGS))
+    ],
     json: Json = False,
 ) -> None:
     """List what is bundled, each with its description.
@@ -38,7 +41,7 @@ def _described(what: str) -> dict[str, str]:
     from kraft.text import suggestion
 
     if what == "planners":
-        from kraft.scenario.planning import PLANNERS
+        from kraft.scenario.planners import PLANNERS
 
         return PLANNERS
     kinds: dict[str, bundled.Kind] = {

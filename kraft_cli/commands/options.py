@@ -6,13 +6,22 @@ from typing import Annotated
 
 import typer
 
+from kraft_cli import completion
 from kraft_cli.terminal import Terminal
 
-ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="A bundled name or the path of a file.")]
+ScenarioName = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO", help="A bundled name or the path of a file.", autocompletion=completion.scenarios
+    ),
+]
 PlanningModel = Annotated[
     str | None,
     typer.Option(
-        "--vehicle", metavar="NAME|FILE", help="Model to plan with, instead of the method's and the scenario's."
+        "--vehicle",
+        metavar="NAME|FILE",
+        help="Model to plan with, instead of the method's and the scenario's.",
+        autocompletion=completion.vehicles,
     ),
 ]
 Set = Annotated[

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from kraft_cli import completion
 from kraft_cli.commands.options import Json, ScenarioName, Set
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
@@ -14,9 +15,17 @@ from kraft_cli.terminal import Terminal
 Iterations = Annotated[int | None, typer.Option(metavar="N", help="Plan for N iterations: the same plan on every run.")]
 Time = Annotated[float | None, typer.Option(metavar="S", help="Plan for S seconds of wall-clock time.")]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the random generator.")]
-Planner = Annotated[str | None, typer.Option(metavar="NAME", help="Planner (kraft list planners).")]
+Planner = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Planner (kraft list planners).", autocompletion=completion.planners)
+]
 VehicleName = Annotated[
-    str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle: a name, a YAML file, or code.")
+    str | None,
+    typer.Option(
+        "--vehicle",
+        metavar="NAME|FILE",
+        help="Vehicle: a name, a YAML file, or code.",
+        autocompletion=completion.vehicles,
+    ),
 ]
 Parameters = Annotated[
     list[str] | None, typer.Option("--param", metavar="K=V", help="Replace a parameter of the vehicle.")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kraft_cli import completion
 from kraft_cli.commands.options import Json
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.signals import status_of
@@ -15,15 +16,31 @@ from kraft_cli.terminal import Terminal
 if TYPE_CHECKING:
     from kraft_cli.work.record import RecordedRun
 
-Scenario = Annotated[str | None, typer.Argument(metavar="[SCENARIO]", help="A bundled name or the path of a file.")]
+Scenario = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="[SCENARIO]", help="A bundled name or the path of a file.", autocompletion=completion.scenarios
+    ),
+]
 Out = Annotated[Path, typer.Option(metavar="LOGS", help="New folder for the logs.")]
 VehicleName = Annotated[
-    str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle to drive, instead of the scenario's.")
+    str | None,
+    typer.Option(
+        "--vehicle",
+        metavar="NAME|FILE",
+        help="Vehicle to drive, instead of the scenario's.",
+        autocompletion=completion.vehicles,
+    ),
 ]
 Runs = Annotated[int | None, typer.Option(metavar="N", help="Number of runs, 20 s each: by default 10, with --for 3.")]
 For = Annotated[
     str | None,
-    typer.Option("--for", metavar="NAME|FILE", help="Drive what shows the parameters of this model, from its priors."),
+    typer.Option(
+        "--for",
+        metavar="NAME|FILE",
+        help="Drive what shows the parameters of this model, from its priors.",
+        autocompletion=completion.vehicles,
+    ),
 ]
 Commands = Annotated[
     list[Path] | None,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kraft_cli import completion
 from kraft_cli.commands.options import Json, PlanningModel, ScenarioName, Set
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
@@ -18,7 +19,9 @@ if TYPE_CHECKING:
 Method = Annotated[
     str | None,
     typer.Option(
-        metavar="NAME|FILE", help="Method (kraft list methods): kraft, with --realtime adaptive-kraft, by default."
+        metavar="NAME|FILE",
+        help="Method (kraft list methods): kraft, with --realtime adaptive-kraft, by default.",
+        autocompletion=completion.methods,
     ),
 ]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same trial, but with --realtime.")]

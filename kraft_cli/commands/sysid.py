@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kraft_cli import completion
 from kraft_cli.commands.options import Json
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
@@ -21,6 +22,7 @@ Model = Annotated[
         "--model",
         metavar="auto|NAME|FILE",
         help="auto: a car with the terms that the logs need; or a vehicle (kraft list vehicles), a file, or code.",
+        autocompletion=completion.names("vehicle", "auto"),
     ),
 ]
 Holdout = Annotated[

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kraft.text import counted
+from kraft_cli import completion
 from kraft_cli.commands.options import Json
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
@@ -25,7 +26,12 @@ Goal = Annotated[
 ]
 VehicleName = Annotated[
     str | None,
-    typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle of the scenarios, instead of the usual one."),
+    typer.Option(
+        "--vehicle",
+        metavar="NAME|FILE",
+        help="Vehicle of the scenarios, instead of the usual one.",
+        autocompletion=completion.vehicles,
+    ),
 ]
 Skip = Annotated[bool, typer.Option("--skip", help="Leave out shapes that cannot be obstacles.")]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="New folder for the scenarios and suite.yaml.")]

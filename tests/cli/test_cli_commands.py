@@ -16,7 +16,7 @@ from support.paths import ROOT
 
 from kraft.config import bundled
 from kraft.provenance import install_command
-from kraft.scenario.planning import PLANNERS
+from kraft.scenario.planners import PLANNERS
 from kraft_cli.main import main
 from kraft_cli.work import doctor as environment
 from kraft_cli.work.doctor import REQUIRED, Finding
