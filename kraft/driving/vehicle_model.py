@@ -453,6 +453,11 @@ class CarModel(VehicleModel):
             curvature, slip = _turn(float(before[self.v]), *self.advance(before, control, MAX_STEP)[self.pose].tolist())
             curvatures.append(curvature)
             slips.append(slip)
+        if not curvatures[-1] > curvatures[0]:  # the laws for cars would steer away from the path
+            ends = " and ".join(f"{curvatures[k]:.3g}/m at steering {steerings[k]:.3g}" for k in (0, -1))
+            problem = f"does not turn further to the left with larger steering: its curvature is {ends}"
+            expected = "expected steering that is positive to the left: negate it in the derivative"
+            raise InputError.of(self.vehicle.name, problem, expected, Code.MISMATCH)
         return list(map(float, steerings)), list(map(float, np.maximum.accumulate(curvatures))), slips
 
     def _steady_state(self, control: Floats) -> Floats:

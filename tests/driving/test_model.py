@@ -180,3 +180,11 @@ def test_a_car_that_does_not_move_has_no_model(parameters: dict[str, float], whe
     with pytest.raises(InputError) as caught:
         model_of(load_vehicle("car").with_parameters(parameters))
     assert [(each.code, where in each.problem) for each in caught.value.diagnostics] == [(Code.MISMATCH, True)]
+
+
+def test_a_car_that_steers_to_the_right_has_no_model() -> None:
+    """Its feedback on the path would have the wrong sign."""
+    right = load_vehicle("car").with_parameters({"steer": -load_vehicle("car").parameters["steer"]})
+    with pytest.raises(InputError, match="positive to the left") as caught:
+        model_of(right)
+    assert [each.code for each in caught.value.diagnostics] == [Code.MISMATCH]
