@@ -74,7 +74,7 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
     commands = merge_commands(streams, controls, limits)
     _check_overlap(commands, poses, choice)
     add_dropouts(poses, pose_gap(poses.times, limits), findings)
-    repeated = stale(poses.times, xyyaw)
+    repeated = stale(poses.times, xyyaw, _limit(poses, xyyaw, limits))
     add_left_out("stale", poses, repeated, "repeat the one before while the vehicle moves", findings)
     poses, xyyaw = poses.keep(~repeated), xyyaw[~repeated]
     add_command_gaps(streams, limits, findings)

@@ -176,9 +176,12 @@ def _reachable(t0: Array, p0: Array, t1: Array, p1: Array, speed: float, reach: 
     return near & (turn <= YAW_STEP_MAX + YAW_RATE_MAX * dt)
 
 
-def stale(times: Array, poses: Array) -> Flags:
+def stale(times: Array, poses: Array, speed: float) -> Flags:
     """Poses that repeat the previous one bit for bit while the vehicle moves, so that nothing was measured. Shape
     (n,).
+
+    It has moved on at half or more of the speed before, or its motion goes on where `speed` (m/s) would not have taken
+    it since the last repetition: a vehicle that turns may end near where its poses began to repeat.
     """
     flags = np.zeros(len(times), bool)
     fresh = np.flatnonzero(np.concatenate([[True], np.any(np.diff(poses, axis=0) != 0, axis=1)]))
@@ -186,8 +189,14 @@ def stale(times: Array, poses: Array) -> Flags:
         return flags
     way = np.hypot(*np.diff(poses[fresh, :2], axis=0).T)
     speeds = way / np.diff(times[fresh])
+    reach = max(0.05, NOISE_MARGIN * position_noise(poses[fresh, :2]))
+    near = _reachable(times[:-1], poses[:-1], times[1:], poses[1:], speed, reach)
     for k in range(1, len(fresh) - 1):  # speed into and out of each run of equal poses
-        if speeds[k] >= 0.5 * speeds[k - 1] and way[k - 1] > 1e-3:
+        is_near, after = near[fresh[k + 1] - 1], near[fresh[k + 1] :][: TRACK_POSES_MIN - 1]
+        goes_on = len(after) == TRACK_POSES_MIN - 1 and after.all()
+        is_outlier = not is_near and not after[:1].all()
+        moved = speeds[k] >= 0.5 * speeds[k - 1] and way[k - 1] > 1e-3 and not is_outlier
+        if moved or (goes_on and not is_near):
             flags[fresh[k] + 1 : fresh[k + 1]] = True
     return flags
 

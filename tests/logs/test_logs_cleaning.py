@@ -193,6 +193,28 @@ def test_poses_that_stand_still_while_the_vehicle_moves_are_left_out(tmp_path: P
     assert len(log.parts[0].poses) == N - 39
 
 
+def test_poses_that_stand_still_for_long_while_the_vehicle_turns_are_left_out(tmp_path: Path) -> None:
+    """It ends near where they stood still, so that its speed on the chord is small."""
+    times, angles = 0.03 * np.arange(400), 0.06 * np.arange(400)  # 2 m/s in a circle of 1 m
+    old = np.where((np.arange(400) >= 100) & (np.arange(400) < 300), 100, np.arange(400))
+    noise = np.random.default_rng(0).normal(0.0, 0.002, (400, 2))
+    x, y = (np.column_stack([np.sin(angles), 1.0 - np.cos(angles)]) + noise)[old].T
+    columns = {"t": times, "throttle": np.ones(400), "steering": np.full(400, 0.3)}
+    log = read(tmp_path, **columns, x=x, y=y, yaw=wrapped(angles[old]))
+    assert finding(log, "stale").count == 199
+    assert {f.kind for f in log.findings} == {"stale", "gap", "wrap"}
+    assert [len(part.poses) for part in log.parts] == [101, 100]
+
+
+def test_an_outlier_after_a_standstill_does_not_make_its_poses_stale(tmp_path: Path) -> None:
+    stop = np.concatenate([ROW[:80], np.full(75, 80), ROW[80 : N - 75]])
+    x = WIDE["x"][stop]
+    x[150] += 1.0
+    log = read(tmp_path, x=x, **{name: WIDE[name][stop] for name in ("y", "yaw")})
+    assert [f.kind for f in log.findings if f.kind != "wrap"] == ["outlier"]
+    assert len(log.parts[0].poses) == N - 1
+
+
 def test_a_vehicle_that_stops_and_goes_on_is_believed(tmp_path: Path) -> None:
     stop = np.concatenate([ROW[:80], np.full(75, 80), ROW[80 : N - 75]])
     log = read(tmp_path, **{name: WIDE[name][stop] for name in ("x", "y", "yaw")})
