@@ -19,7 +19,7 @@ from kraft.sysid.log_motion import motions
 from kraft.sysid.smoothing import high_speed
 from kraft.vehicles import WHEELBASE
 from kraft.vehicles.code import check_functions, vehicle_in_code
-from kraft.vehicles.config import Footprint, Parameter, VehicleConfig
+from kraft.vehicles.config import Footprint, Parameter, VehicleConfig, stated_parameters
 from kraft.vehicles.load import (
     RecordedVehicle,
     configured,
@@ -65,8 +65,8 @@ class BaseVehicle:
 
     @property
     def parameters(self) -> Mapping[str, Parameter]:
-        """Parameters of the model as in a vehicle file; those that no file states have a value and a unit only."""
-        stated = self.definition.parameters if isinstance(self.definition, VehicleConfig) else {}
+        """Parameters of the model as in a vehicle file; those that nothing states have a value and a unit only."""
+        stated = stated_parameters(self.definition)
         units = units_of(self.model)
         return {
             name: stated.get(name) or Parameter(value=value, unit=units.get(name, "1"))

@@ -11,7 +11,7 @@ import numpy as np
 from kraft.errors import Diagnostic, InputError
 from kraft.sysid.interface import Settings
 from kraft.vehicles import DELAY_MAX
-from kraft.vehicles.config import Parameter, VehicleConfig
+from kraft.vehicles.config import Parameter, VehicleConfig, stated_parameters
 from kraft.vehicles.load import configured, units_of
 from ompl_ext.arrays import Bools, Floats
 from ompl_ext.vehicle import Vehicle
@@ -152,7 +152,7 @@ def variation_of(parameters: Parameters, settings: Settings) -> dict[str, float]
 def parameter_specs(vehicle: VehicleConfig | Vehicle, auxiliary: tuple[str, ...]) -> tuple[ParameterSpec, ...]:
     """The parameters of the model and the named auxiliary parameters, before any setting is applied."""
     model = vehicle_of(vehicle)
-    stated = vehicle.parameters if isinstance(vehicle, VehicleConfig) else {}
+    stated = stated_parameters(vehicle)
     units = units_of(vehicle.model) if isinstance(vehicle, VehicleConfig) else {}
     own = (_spec(name, value, stated.get(name), units.get(name, "")) for name, value in model.parameters.items())
     known = auxiliary_parameters(model)
@@ -164,8 +164,8 @@ def parameter_specs(vehicle: VehicleConfig | Vehicle, auxiliary: tuple[str, ...]
 
 
 def without_bounds(vehicle: VehicleConfig | Vehicle) -> tuple[str, ...]:
-    """Parameters of the model whose bounds or prior are default ones, because no file states them."""
-    stated = vehicle.parameters if isinstance(vehicle, VehicleConfig) else {}
+    """Parameters of the model whose bounds or prior are default ones, because neither file nor code states them."""
+    stated = stated_parameters(vehicle)
     return tuple(name for name in vehicle_of(vehicle).parameters if not _is_bounded(stated.get(name)))
 
 
@@ -174,7 +174,7 @@ def _is_bounded(stated: Parameter | None) -> bool:
 
 
 def _spec(name: str, value: float, stated: Parameter | None, unit: str) -> ParameterSpec:
-    """A parameter of the model, with default bounds and prior where its file states none."""
+    """A parameter of the model, with default bounds and prior where none are stated."""
     low, high = _default_bounds(value, unit if stated is None else stated.unit)
     if stated is None:
         return ParameterSpec(name, value, low, high, high - low, unit, "")

@@ -32,7 +32,7 @@ from kraft.vehicles.identification_record import IdentificationRecord, SpeedPred
 from kraft.vehicles.reference import is_code
 from kraft.vehicles.true_robot import Robot, with_files
 from ompl_ext.names import FORCE
-from ompl_ext.vehicle import ParameterRange
+from ompl_ext.vehicle import ParameterRange, Vehicle
 
 SPEED_EXPECTED = "expected a number in m/s, of at most 100, or the name of a parameter"
 
@@ -229,3 +229,19 @@ class Footprint(StrictModel):
     """extent along y, m"""
     offset: Annotated[float, Field(ge=-100, le=100)] = 0.0
     """distance of the rectangle's centre ahead of the body frame, m"""
+
+
+def stated_parameters(vehicle: VehicleConfig | Vehicle) -> Mapping[str, Parameter]:
+    """Parameters as a vehicle file states them, or as the `ranges` of code do."""
+    if isinstance(vehicle, VehicleConfig):
+        return vehicle.parameters
+    return {name: _of_code(vehicle.parameters[name], allowed) for name, allowed in vehicle.ranges.items()}
+
+
+def _of_code(value: float, allowed: ParameterRange) -> Parameter:
+    """A parameter with its range, which includes its value."""
+    unit = allowed.unit or "1"
+    if allowed.is_known:
+        return Parameter(value=value, unit=unit, fixed=True)
+    low, high = min(allowed.low, value), max(allowed.high, value)
+    return Parameter(value=value, unit=unit, min=low, max=high, std=allowed.std)

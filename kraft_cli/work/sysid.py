@@ -287,7 +287,7 @@ def _bounds_note(request: SysidRequest, base: BaseVehicle) -> tuple[str, ...]:
         return ()
     written = f" and written to {request.out}" if request.out is not None else ""
     return (
-        f"no vehicle file states min, max and std of {', '.join(names)}: bounds are assumed (a tenth of the value to "
+        f"nothing states min, max and std of {', '.join(names)}: bounds are assumed (a tenth of the value to "
         f"ten times the value; of small angles -1 to 1){written}",
     )
 

@@ -75,9 +75,7 @@ def test_bounds_that_nobody_states_are_noted_and_leave_an_offset_its_sign() -> N
     bare = known.definition.model_copy(update={"parameters": kept})
     base = replace(known, definition=bare, vehicle=configured(bare))
     (noted,) = _bounds_note(SysidRequest(logs=(), out=Path("car.yaml")), base)
-    assert noted.startswith(
-        "no vehicle file states min, max and std of phi_diff, v_delta, tau, u_0: bounds are assumed"
-    )
+    assert noted.startswith("nothing states min, max and std of phi_diff, v_delta, tau, u_0: bounds are assumed")
     assert noted.endswith("and written to car.yaml")
     bounds = {spec.name: (spec.min, spec.max, spec.unit) for spec in parameter_specs(bare, ())}
     assert bounds["phi_diff"] == (-1.0, 1.0, "rad")

@@ -19,8 +19,10 @@ from kraft.errors import Code, InputError
 from kraft.logs.log import Log, Part
 from kraft.sysid import Identification, Noise, Settings, identify, predict_windows, prediction_errors
 from kraft.sysid.optimiser import Uncertainty, estimate_uncertainty
+from kraft.sysid.parameters import parameter_specs, without_bounds
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import load_vehicle
+from ompl_ext.vehicle import ParameterRange
 
 SKID_STEER = str(ROOT / "examples" / "05_vehicle.py") + ":VEHICLE"
 AUXILIARY = {"delay": 0.12, "lever": 0.15, "yaw_offset": 0.05, "dead_band_steering": 0.03}
@@ -106,6 +108,17 @@ def test_a_vehicle_from_code_is_identified_without_bounds_or_priors() -> None:
     result = identify(vehicle, synthetic_logs(vehicle, truth, range(6), seconds=10.0))
     assert result.converged
     close(result, truth)
+
+
+def test_a_vehicle_from_code_is_identified_with_the_bounds_and_priors_that_it_states() -> None:
+    ranges = {"track": ParameterRange(0.3, 0.45, 0.02, "m"), "lag": ParameterRange(0.3, 0.3, 0.0)}
+    vehicle = replace(load_vehicle(SKID_STEER), ranges=ranges)
+    assert without_bounds(vehicle) == ()
+    track, lag_spec = parameter_specs(vehicle, ())
+    assert (track.min, track.max, track.std, track.unit) == (0.3, 0.45, 0.02, "m")
+    assert lag_spec.fixed
+    logs_of_another = synthetic_logs(vehicle, {"track": 0.5, "lag": 0.3}, range(2), seconds=10.0)
+    assert identify(vehicle, logs_of_another).values == {"track": 0.45, "lag": 0.3}
 
 
 def test_a_frozen_parameter_keeps_its_value() -> None:
