@@ -89,7 +89,7 @@ def record(
         terminal.info(f"{len(done)}/{run.of}  {run.folder}: {run.manoeuvre}, {run.duration:.1f} s, {poses}{note}")
 
     try:
-        record_logs(request, terminal.info, ended)
+        model = record_logs(request, terminal.info, ended).model
     except KeyboardInterrupt as error:
         kept = " before the first run ended"
         if done:
@@ -99,7 +99,10 @@ def record(
     if json:
         terminal.json("kraft.record/1", _content(request.scenario, request.seed, out, done))
     else:
-        terminal.data(f"{counted(len(done), 'log')} in {out}; kraft sysid {out} identifies the vehicle from them")
+        stated = "" if model is None else f" --model {model}"
+        terminal.data(
+            f"{counted(len(done), 'log')} in {out}; kraft sysid {out}{stated} identifies the vehicle from them"
+        )
     return ExitStatus.DONE
 
 

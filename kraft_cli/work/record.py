@@ -77,6 +77,14 @@ class RecordedRun:
 
 
 @dataclass(frozen=True)
+class Recording:
+    """All runs, and the `model` that `kraft sysid` has to be told; None if it chooses one for such commands itself."""
+
+    runs: tuple[RecordedRun, ...]
+    model: str | None
+
+
+@dataclass(frozen=True)
 class _Inputs:
     """What a request names, loaded and checked; a manoeuvre for each file of commands."""
 
@@ -134,7 +142,7 @@ def _recorded_arguments(folder: Path) -> dict[str, Any]:
 
 def record_logs(
     request: RecordRequest, report: Callable[[str], None], on_run: Callable[[RecordedRun], None] | None = None
-) -> tuple[RecordedRun, ...]:
+) -> Recording:
     """Record all runs; each is written when it ends, so that an interrupt keeps the finished ones.
 
     With `resume` the runs that the folder has are kept; `on_run` receives them too.
@@ -166,7 +174,15 @@ def record_logs(
             _write_missing_bag(request, inputs, recorder, drive, number, runs)
         if on_run is not None:
             on_run(done[-1])
-    return tuple(done)
+    return Recording(tuple(done), _model_to_state(request, scenario, vehicle))
+
+
+def _model_to_state(request: RecordRequest, scenario: Scenario, vehicle: Vehicle) -> str | None:
+    """Model that `kraft sysid` has to be told: it chooses one for the commands of a car and of two sides alone."""
+    from kraft.sysid.command_units import SIDES  # loads the identification
+
+    has_choice = is_car(vehicle) or set(vehicle.controls) == set(SIDES)
+    return None if has_choice else request.vehicle or scenario.vehicle
 
 
 def _record(

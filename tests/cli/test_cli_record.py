@@ -61,6 +61,14 @@ def test_the_same_seed_writes_the_same_bytes_and_more_runs_keep_the_first(folder
     assert all(first[name] == second[name] for name in FILES - {"manifest.json"})
 
 
+@pytest.mark.parametrize(("vehicle", "model"), [("jackal", ""), ("mushr-lag", ""), ("unicycle2", " --model unicycle2")])
+def test_the_command_that_identifies_the_vehicle_names_it_if_its_commands_do_not_tell(
+    vehicle: str, model: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["record", "--runs", "1", "--vehicle", vehicle, "-q"]) == 0
+    assert capsys.readouterr().out == f"1 log in logs; kraft sysid logs{model} identifies the vehicle from them\n"
+
+
 def test_logs_are_never_written_over(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["record", "--runs", "1"]) == 0
     before = contents(folder)
