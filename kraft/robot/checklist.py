@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from kraft.planning.feasibility import footprint_hit
+from kraft.robot.announcement import Announced
 from kraft.robot.command import unit_problem, unit_warnings
 from kraft.robot.connect import open_transport
 from kraft.robot.inputs import Inputs
@@ -78,6 +79,7 @@ class Checklist:
         while (rosbridge keeps its registration for 10 s); `on_wait` is told what is waited for then.
         """
         topic, kind = self._robot.command.topic, self._robot.command.type
+        announced = Announced(self._transport)
         poses, peers = self._listen(is_cancelled)
         if peers.publishers:
             on_wait(Check("commands", "waiting", f"{WAITING:g} s at most for {_others(peers)} to leave {topic}"))
@@ -86,6 +88,7 @@ class Checklist:
         checks = [*self._check_poses(poses), *self._check_start(poses, spec.task), *self._check_clock(poses)]
         checks += [self._check_dead_man(), self._check_commands(peers), *self._check_map()]
         grid = None if self._tasks is None else self._tasks.take_map()
+        checks += self._check_scenario(announced, spec, has_map=grid is not None) if poses else []
         checks += [*_check_place(_mean_pose(poses), with_map(spec.task, grid), spec.vehicle)]
         checks += [_check_model(spec.vehicle, is_simulated=self._robot.simulated), _check_priority()]
         checks += _check_units(spec.vehicle, self._robot)
@@ -129,6 +132,10 @@ class Checklist:
             if subscribers is None or subscribers:
                 return
             clock.sleep(0.05)
+
+    def _check_scenario(self, announced: Announced, spec: DriveSpec, *, has_map: bool) -> list[Check]:
+        is_simulated = self._robot.simulated
+        return announced.checks(spec.task, spec.vehicle, is_simulated=is_simulated, has_map=has_map)
 
     def _check_poses(self, poses: list[Received]) -> list[Check]:
         robot = self._robot

@@ -17,6 +17,7 @@ import numpy as np
 
 from kraft.driving.vehicle_model import braking_control
 from kraft.planning.workspace import start_state, workspace_of
+from kraft.robot.announcement import announce
 from kraft.robot.command import CommandCodec
 from kraft.robot.display import occupancy_grid
 from kraft.robot.messages import (
@@ -125,6 +126,7 @@ class RobotWorld:
         self._began = False
         self.cancelled = False
         transport.subscribe(robot.command.topic, robot.command.type, self._take)
+        announce(transport, scenario.task(), vehicle)
         transport.advertise(robot.pose.topic, robot.pose.type)
         if robot.dead_man is not None:
             transport.advertise(robot.dead_man.topic, robot.dead_man.type)

@@ -51,6 +51,8 @@ def test_the_car_reaches_the_goal_and_everything_is_written(tmp_path: Path, tran
         assert rig.result is not None
         assert rig.result.outcome is Outcome.SUCCESS
     assert driven["outcome"] == "success"
+    compared = next(check for check in driven["checks"] if check["name"] == "scenario")
+    assert (compared["state"], compared["detail"]) == ("ok", "the robot simulates boxes"), "it is announced"
     assert driven["t_s"] == pytest.approx(rig.result.time, abs=1.5)
     reasons = [event for event in rig.events if event != "success" and not event.startswith("the commitment of cycle")]
     assert driven["watchdog_stops"] <= len(reasons), "the stop at the end is none of the watchdog"
