@@ -23,12 +23,14 @@ import numpy as np
 from kraft.driving.estimation.adaptive import Learned
 from kraft.driving.messages import Commitment, Estimate, Observation, ReferenceKind
 from kraft.errors import KraftError
+from kraft.robot.arrival import Arrival
 from kraft.robot.checklist import Checklist
 from kraft.robot.connect import open_transport
 from kraft.robot.guard import SILENCE
 from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
 from kraft.robot.journal import Journal, headings
+from kraft.robot.link import Link
 from kraft.robot.peers import PeerWatch, wait_for_another
 from kraft.robot.poses import Clocks
 from kraft.robot.priority import (
@@ -57,15 +59,11 @@ from kraft.robot.protocol import (
     StopOrder,
     TaskChange,
     TaskTaken,
-    moved_goal,
 )
 from kraft.robot.task_inputs import TaskInputs
 from kraft.robot.tracker import Tracker, warm_up
 from kraft.robot.transport import Transport
-from kraft.scenario import Goal
 from ompl_ext.arrays import Floats
-from ompl_ext.poses import pose_of
-from ompl_ext.vehicle import Vehicle
 
 LEAD_IN: Final = 0.6
 """Time between the order to begin and time 0 of the drive, s."""
@@ -89,10 +87,6 @@ HURRY: Final = 1.3
 """How much earlier than the slowest of them it is asked for."""
 LEAD_MAX: Final = 0.6
 """Share of a cycle before its beginning that is the earliest time to ask."""
-GOAL_TICKS: Final = 3
-"""Number of ticks in a row for which the estimate is in the goal region before the goal counts as reached."""
-GOAL_MARGIN: Final = 0.05
-"""Distance by which the estimate is inside the goal region then, m."""
 GUARD_TIME: Final = 10.0
 """Longest time to wait until the brake guard can send commands, s."""
 REPORT_TIME: Final = 5.0
@@ -172,7 +166,11 @@ class Control:
         self._planned: deque[Planned] = deque()
         self._observations: list[Observation] = []
         self._commands: list[tuple[float, Floats, Floats]] = []
-        self._in_goal, self._goal, self._asked = 0, spec.task.goal, 0  # changes that the planner has not answered
+        self._arrival, self._asked = (
+            Arrival(spec.task.goal, spec.vehicle),
+            0,
+        )  # changes that the planner has not answered
+        self._link = Link(transport, spec.robot.command.timeout)
         self._ending: tuple[str, str] | None = None
         self._stood = 0.0  # time for which the vehicle has stood at the end of a contingency, s
         self._late = self._missed = self._ticks = self._guarded = self._stops = 0
@@ -236,7 +234,7 @@ class Control:
 
     def _is_over_without_time(self) -> bool:
         """Command the vehicle to stand as long as the clock of the drive does not go on; True if the drive is over."""
-        tracker, began, why = self._tracker, clock.monotonic(), self._tracker.clock_trouble
+        tracker, began, why = self._tracker, clock.monotonic(), self._link.trouble or self._tracker.clock_trouble
         now, command = self._last_tick if tracker.clock_is_over else self._now, tracker.halt
         if now >= 0.0:
             if self._since_stop is None and self._ending is None:
@@ -245,10 +243,11 @@ class Control:
             self._command(now, command, tracker.estimate(now))
         self._tell_guard(now, command, ())
         while trouble := tracker.clock_trouble:
+            self._look_at_link(now)
             self._take_messages(now)
             waited = clock.monotonic() - began
             if tracker.clock_is_over or waited > self._spec.robot.watchdog.give_up:
-                self._end(now, "stopped", trouble)
+                self._end(now, "stopped", self._link.trouble or trouble)
             if self._ending is not None and waited >= HALTED:
                 return True
             tracker.publish(now, command)
@@ -261,6 +260,7 @@ class Control:
         """One tick of the controller; True if the drive is over."""
         self._measure(late)
         self._hold_up(now)
+        self._look_at_link(now)
         self._take_messages(now)
         observations = self._take_poses(now)
         self._health.tick(now, late, self._tracker.arrived)
@@ -285,6 +285,11 @@ class Control:
         self._request(now)
         self._report(now, estimate)
         return self._is_over(now, estimate)
+
+    def _look_at_link(self, now: float) -> None:
+        """Note whether messages reach the robot, and tell if they do again."""
+        if news := self._link.look():
+            self._event(now, news)
 
     def _measure(self, late: float) -> None:
         self._ticks += 1
@@ -375,8 +380,8 @@ class Control:
 
     def _trouble(self, now: float) -> str:
         """Why the vehicle must not drive now; empty if it may."""
-        inputs = self._inputs.trouble or self._tasks.trouble
-        return self._peers.foreign or inputs or self._transport.problem or self._health.trouble(now)
+        inputs = self._inputs.trouble or self._tasks.trouble  # which are silent if the connection is lost
+        return self._link.trouble or self._peers.foreign or inputs or self._health.trouble(now)
 
     def _may_drive(self, now: float) -> bool:
         """Whether a plan may be adopted: a vehicle that has stopped by itself stands before it drives on."""
@@ -429,7 +434,7 @@ class Control:
         """Take over the goal that the planner has taken; it may have refused one."""
         self._asked -= 1
         if answer.goal is not None:
-            self._goal = moved_goal(self._goal, answer.goal)
+            self._arrival.move(answer.goal)
         if answer.problem:
             self._event(now, answer.problem)
 
@@ -454,10 +459,8 @@ class Control:
         return min(self._stood, now - self._ended_at) >= STOPPED or now - self._ended_at > STOPPING_MAX + STOPPED
 
     def _look_for_end(self, now: float, estimate: Estimate) -> None:
-        reached = now > 0.0 and self._asked == 0 and in_goal(self._goal, self._model.vehicle, estimate.state)
-        self._in_goal = self._in_goal + 1 if reached else 0
         watchdog = self._spec.robot.watchdog
-        if self._in_goal >= GOAL_TICKS:
+        if self._arrival.look(estimate.state, may_count=now > 0.0 and self._asked == 0):
             self._end(now, "success", "")
         elif now >= self._spec.timeout:
             self._end(now, "timeout", f"the goal was not reached in {self._spec.timeout:g} s")
@@ -466,12 +469,12 @@ class Control:
         elif self._waiting and now - self._requested > watchdog.give_up:
             self._end(now, "stopped", f"the planner has not answered for {now - self._requested:.1f} s")
         elif min(estimate.age, now) > watchdog.give_up:
-            self._end(now, "stopped", self._why_blind(estimate))
+            self._end(now, "stopped", self._link.trouble or self._why_blind(estimate))
 
     def _end(self, now: float, outcome: str, reason: str) -> None:
         """Stop the vehicle, as `OnBoard.stop` does."""
         if self._ending is None:
-            self._ending, self._ended_at = (outcome, reason), max(now, 0.0)
+            self._ending, self._ended_at = (outcome, self._link.explained(reason)), max(now, 0.0)
             self._stops = self._on_board.stops  # without the stop at the end
             if now >= 0.0 and not self._mailbox.closed:
                 self._on_board.stop(self._tracker.estimate(now))
@@ -491,9 +494,3 @@ class Control:
         while self._alive:
             clock.sleep(PEERS_PERIOD)
             self._peers.look()
-
-
-def in_goal(goal: Goal, vehicle: Vehicle, state: Floats) -> bool:
-    """Whether an estimated state (nx,) is inside the goal region by a margin."""
-    components = {name: float(state[k]) for k, name in enumerate(vehicle.state)}
-    return goal.contains(*pose_of(state, vehicle), components, min(GOAL_MARGIN, 0.25 * goal.radius))

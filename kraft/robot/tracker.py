@@ -75,7 +75,8 @@ class Tracker:
         topic = self._spec.robot.clock.topic if self._spec.robot.clock is not None else ""
         if self.clock_is_over:
             return f"the time on {topic} has gone back: another simulation has begun"
-        return f"the time on {topic} stands: the simulation is paused" if self._inputs.clock.stands else ""
+        paused = f"the time on {topic} stands: the simulation is paused, or its messages do not arrive any more"
+        return paused if self._inputs.clock.stands else ""
 
     @property
     def now(self) -> float:

@@ -329,7 +329,7 @@ def drive_table(driven: Driven) -> list[tuple[str, str]]:
         ("scenario", content["scenario"]),
         ("robot", content["robot"]),
         ("method", driven.spec.method.title),
-        ("result", f"{ended.outcome}{f': {ended.reason}' if ended.reason else ''} after {ended.time:.2f} s"),
+        ("result", f"{ended.outcome} after {ended.time:.2f} s{f': {ended.reason}' if ended.reason else ''}"),
         ("cycles", f"{content['cycles']}, {content['contingencies']} of them with the contingency"),
         ("watchdog", counted(ended.stops, "stop")),
         ("controller", f"{late}, {measures.get('worst_late_ms', 0.0):.1f} ms at most"),

@@ -11,6 +11,7 @@ import math
 import multiprocessing
 import os
 import random
+import re
 import signal
 from pathlib import Path
 
@@ -77,6 +78,27 @@ def test_the_drive_ends_and_says_why_when_the_network_stays_cut(tmp_path: Path) 
         assert (rig.process.returncode, result["outcome"]) == (1, "stopped")
         assert "no pose for" in result["reason"]
         keeps_what_was_driven(rig, moment("network"))
+
+
+@pytest.mark.parametrize("speed", [1.0, 0.9], ids=["machine clock", "clock of the simulation"])
+def test_a_connection_that_is_lost_is_the_reason_with_how_long_and_what_the_car_was_told(
+    tmp_path: Path, speed: float
+) -> None:
+    """The time on the clock topic stands too then, and no pose comes: neither is the reason."""
+    with Rig(tmp_path, give_up=2.0, speed=speed) as rig:
+        rig.drive_until(1.0)
+        rig.link.close()
+        assert rig.stands(5.0), (rig.world.world.collision, rig.world.world.speed)
+        result = rig.process.result(60)
+        assert (rig.process.returncode, result["outcome"]) == (1, "stopped")
+        reason = re.fullmatch(
+            rf"the connection to {rig.url} is lost \(.+\): for ([\d.]+) s nothing has reached the vehicle, which could "
+            r"not be told to brake; its multiplexer stops it 0.2 s after the last command",
+            result["reason"],
+        )
+        assert reason is not None, result["reason"]
+        assert 1.5 < float(reason[1]) < 6.0
+        assert result["t_s"] < 20.0
 
 
 def test_the_car_stands_by_its_contingency_when_the_planner_is_killed(tmp_path: Path) -> None:
