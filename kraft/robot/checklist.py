@@ -37,6 +37,11 @@ LATENCY: Final = 0.15
 """Age of an arriving pose beyond which there is a warning, s."""
 FUTURE: Final = -0.02
 """Age of an arriving pose below which there is a warning, s: its stamp is later than its arrival."""
+TURNED: Final = (
+    "if it stands as the scenario says, the marker is turned on the car (pose.tracked_point.heading_deg), or the frame of "
+    "the poses against that of the scenario"
+)
+"""What else a wrong heading at the right place may mean."""
 MOVING: Final = 0.15
 """Distance between the poses of a vehicle that should stand beyond which it moves, m."""
 
@@ -166,7 +171,7 @@ class Checklist:
         where = f"({mean[0]:.2f}, {mean[1]:.2f}) heading {math.degrees(mean[2]):.0f} deg"
         if off <= watchdog.start and turned <= watchdog.start_deg:
             return [Check("start", "ok", f"{where}, {off:.2f} m and {turned:.0f} deg from the scenario's start")]
-        hint = units_hint(mean, start, watchdog.start)
+        hint = units_hint(mean, start, watchdog.start) if off > watchdog.start else TURNED
         problem = f"the vehicle is at {where}, {off:.2f} m and {turned:.0f} deg from the start of {task.name}"
         return [Check("start", "problem", problem + (f"; {hint}" if hint else ""))]
 

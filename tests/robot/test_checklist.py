@@ -113,6 +113,7 @@ def test_a_robot_that_stands_at_the_start_passes() -> None:
         (poses(x=1003.0, y=-498.0), "start", "millimetres"),
         (poses(y=1.8), "start", "2.30 m"),
         (poses(theta=-1.5), "start", "deg from the start"),
+        (poses(theta=START[2] + 1.5708), "start", "90 deg from the start of boxes; if it stands as the scenario says"),
         (poses(off=5.0), "clock", "-5.0"),
         (poses(off=-5.0), "clock", "5.0"),
     ],
@@ -156,6 +157,20 @@ def test_slow_poses_and_a_missing_dead_man_are_warnings() -> None:
     found = checked(poses(), robot(pose={**POSE_INPUT, "rate_hz": 100.0}))
     assert found.passed
     assert states(found)["poses"] == states(found)["dead man"] == "warning"
+
+
+def test_a_heading_that_is_turned_is_no_matter_of_units_at_the_origin() -> None:
+    """There a position is the same in all of them."""
+    scenario = load_scenario("boxes", {"start": {"x": 0.0, "y": 0.0, "heading_deg": 0.0}})
+    spec = DriveSpec(scenario.task(), load_method("adaptive-kraft"), load_vehicle("mushr"), robot(), timeout=60.0)
+    bus = LoopbackBus()
+    here = bus.node("kraft")
+    with sending(poses(x=0.02, y=0.01, theta=1.5708), bus):
+        found = checklist_of(spec.robot, here, spec).run(spec, lambda: False, lambda _: None)
+    (check,) = (each for each in found.checks if each.name == "start")
+    assert check.state == "problem"
+    assert "millimetres" not in check.detail
+    assert "pose.tracked_point.heading_deg" in check.detail
 
 
 def test_of_a_simulated_robot_neither_a_dead_man_nor_an_identified_model_is_expected() -> None:
