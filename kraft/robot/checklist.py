@@ -38,8 +38,8 @@ LATENCY: Final = 0.15
 FUTURE: Final = -0.02
 """Age of an arriving pose below which there is a warning, s: its stamp is later than its arrival."""
 TURNED: Final = (
-    "if it stands as the scenario says, the marker is turned on the car (pose.tracked_point.heading_deg), or the frame of "
-    "the poses against that of the scenario"
+    "if it stands as the scenario says, the marker is turned on the car (pose.tracked_point.heading_deg), or the frame "
+    "of the poses against that of the scenario"
 )
 """What else a wrong heading at the right place may mean."""
 MOVING: Final = 0.15

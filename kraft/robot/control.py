@@ -462,6 +462,8 @@ class Control:
         watchdog = self._spec.robot.watchdog
         if self._arrival.look(estimate.state, may_count=now > 0.0 and self._asked == 0):
             self._end(now, "success", "")
+        elif wrong := self._tracker.response.trouble:  # which does not go away
+            self._end(now, "stopped", wrong)
         elif now >= self._spec.timeout:
             self._end(now, "timeout", f"the goal was not reached in {self._spec.timeout:g} s")
         elif self._since_stop is not None and now - self._since_stop > watchdog.give_up:

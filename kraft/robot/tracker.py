@@ -23,6 +23,7 @@ from kraft.robot.inputs import Inputs
 from kraft.robot.messages import to_cdr
 from kraft.robot.poses import Clocks, PoseGuard
 from kraft.robot.protocol import Begin, DriveSpec
+from kraft.robot.response import Response
 from kraft.robot.transport import Transport
 from ompl_ext.arrays import Floats
 from ompl_ext.poses import pose_of
@@ -35,8 +36,9 @@ STANDSTILL: Final = 0.1
 class Tracker:
     """Estimate, commitment on board and command of a drive, by its clocks.
 
-    `on_board` and `poses`, which refuses poses that cannot be true, are for those who drive with it; `arrived` is the
-    number of poses that the last call of `take_poses` found, refused ones included.
+    `on_board`, `poses`, which refuses poses that cannot be true, and `response`, which compares the turns with the
+    commands, are for those who drive with it; `arrived` is the number of poses that the last call of `take_poses`
+    found, refused ones included.
     """
 
     def __init__(self, spec: DriveSpec, begin: Begin, transport: Transport, inputs: Inputs) -> None:
@@ -53,6 +55,7 @@ class Tracker:
         self.clocks = Clocks(0, 0)  # until the drive begins
         self.poses = PoseGuard(robot, self.clocks)
         self._open_loop = np.array(begin.state, dtype=float)  # where the commands lead from the newest observation
+        self.response = Response()
         self._last_command, self.last_sent = self.model.rest.copy(), 0.0
         self.arrived = self._restarts = 0
         self._stand = self._stands_after = begin.commitment.reference  # the stop after which the vehicle is kept there
@@ -115,7 +118,9 @@ class Tracker:
     def observe(self, observation: Observation) -> None:
         """Observe a pose, which another process may have received."""
         self._estimator.observe(observation)
-        self._open_loop[self.model.pose] = observation.x, observation.y, observation.theta
+        pose = observation.x, observation.y, observation.theta
+        self._open_loop[self.model.pose] = pose
+        self.response.observed(observation.arrival, pose)
 
     def learn(self, learned: Learned | None) -> bool:
         """Take over what another process has identified; whether it is new."""
@@ -169,7 +174,9 @@ class Tracker:
 
     def commanded(self, time: float, command: Floats) -> None:
         """Tell the estimator what the vehicle is commanded from `time` (s) on."""
-        self._open_loop = self.model.advance(self._open_loop, self._last_command, time - self.last_sent)
+        before, heading = self._open_loop, self.model.pose[2]
+        self._open_loop = self.model.advance(before, self._last_command, time - self.last_sent)
+        self.response.commanded(float(self._open_loop[heading] - before[heading]))
         self._last_command, self.last_sent = command, time
         if time >= 0.0:
             self._estimator.commanded(time, command)

@@ -14,6 +14,7 @@ import random
 import re
 import signal
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -99,6 +100,23 @@ def test_a_connection_that_is_lost_is_the_reason_with_how_long_and_what_the_car_
         assert reason is not None, result["reason"]
         assert 1.5 < float(reason[1]) < 6.0
         assert result["t_s"] < 20.0
+
+
+def test_the_drive_ends_when_the_steering_is_the_wrong_way_round(tmp_path: Path) -> None:
+    (tmp_path / "room.yaml").write_text(ROOM, encoding="utf-8")
+
+    def swap(topic: str, message: Any) -> Any:
+        if topic == "/drive":
+            message.drive.steering_angle *= -1.0
+        return message
+
+    with Rig(tmp_path, scenario=str(tmp_path / "room.yaml")) as rig:
+        rig.link.spoil = swap
+        result = rig.process.result(60)
+        assert (rig.process.returncode, result["outcome"]) == (1, "stopped")
+        assert "the steering is the wrong way round (command.steering.scale" in result["reason"]
+        assert rig.stands(5.0), (rig.world.world.collision, rig.world.world.speed)
+        assert result["t_s"] < 15.0
 
 
 def test_the_car_stands_by_its_contingency_when_the_planner_is_killed(tmp_path: Path) -> None:
