@@ -10,6 +10,8 @@ from kraft.driving.messages import Observation
 from kraft.robot.messages import POSE, TRANSFORM, nanoseconds_of, yaw_of
 from kraft.robot.robot_file import Robot
 
+FAR: Final = 5.0
+"""Distance from the expected position from which on the unit may be another one, m: near the origin all are alike."""
 FROZEN_SPEED: Final = 0.05
 """Speed by the model from which on a pose that is exactly the last one tells nothing, m/s."""
 Pose = tuple[float, float, float]
@@ -138,6 +140,8 @@ class PoseGuard:
 def units_hint(pose: Pose, expected: Pose, near: float) -> str:
     """What the units of a pose may be that is far from the expected one; empty if it is near in no other unit."""
     x, y, _ = expected
+    if math.hypot(pose[0] - x, pose[1] - y) < FAR:
+        return ""
     for factor, unit in ((1e-3, "millimetres"), (1e-2, "centimetres")):
         if math.hypot(factor * pose[0] - x, factor * pose[1] - y) <= near:
             return f"the position may be in {unit}"

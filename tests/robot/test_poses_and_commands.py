@@ -275,6 +275,8 @@ def test_equal_poses_of_a_car_that_stands_are_believed() -> None:
 def test_millimetres_are_recognised() -> None:
     assert "millimetres" in units_hint((1003.0, 1990.0, 0.0), HERE, 0.5)
     assert units_hint((5.0, 5.0, 0.0), HERE, 0.5) == ""
+    assert units_hint((1.9, -0.4, 0.0), (0.0, 0.0, 0.0), 0.5) == "", "near the origin a position is so in all units"
+    assert "millimetres" in units_hint((120.0, -40.0, 0.0), (0.0, 0.0, 0.0), 0.5)
 
 
 def test_a_map_with_a_turned_origin_and_unknown_cells_is_an_obstacle() -> None:
