@@ -143,11 +143,7 @@ class _Sender:
         self._epoch = 0  # time 0 of the drive, which the first message tells
 
     def __enter__(self) -> Self:
-        """Open the bag; the transport is opened with the first cycle."""
-        if self._bag_path is not None:
-            self._bag = self._stack.enter_context(BagWriter(self._bag_path, keeps=True))
-            for time, topic, message in scene(self._spec.task, clock.time_ns(), self._frames.map):
-                self._bag.write(topic, time, message)
+        """Bag and transport are opened with the first message: a drive that does not begin replaces no bag."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
@@ -159,18 +155,19 @@ class _Sender:
     def sensed(self, sense: Sense) -> None:
         """Write what the controller sensed and sent into the bag."""
         self._epoch = sense.epoch
-        if self._bag is None:
+        bag = self._open_bag()
+        if bag is None:
             return
         frames, vehicle, epoch = self._frames, self._spec.vehicle, sense.epoch
         for each in sense.observations:
             arrived, taken = (epoch + round(1e9 * time) for time in (each.arrival, each.time))
-            self._bag.write("/pose", arrived, stamped_pose(taken, frames.map, (each.x, each.y, each.theta)))
+            bag.write("/pose", arrived, stamped_pose(taken, frames.map, (each.x, each.y, each.theta)))
         for time, command, state in sense.ticks:
             now, pose = epoch + round(1e9 * time), pose_of(state, vehicle)
-            self._bag.write(self._spec.robot.command.topic, now, self._codec.message(now, command))
+            bag.write(self._spec.robot.command.topic, now, self._codec.message(now, command))
             speed = float(state[vehicle.rest_indices[0]])
-            self._bag.write("/odometry/filtered", now, odometry(now, frames.map, frames.body, pose, speed))
-            self._bag.write("/tf", now, make(TF, transforms=[transform(now, frames.map, frames.body, pose)]))
+            bag.write("/odometry/filtered", now, odometry(now, frames.map, frames.body, pose, speed))
+            bag.write("/tf", now, make(TF, transforms=[transform(now, frames.map, frames.body, pose)]))
 
     def show(self, cycle: Cycle) -> None:
         """Send a cycle."""
@@ -185,8 +182,17 @@ class _Sender:
             self._write("/rosout", now, log_line(now, f"{cycle.kind}: {cycle.reason}", level=30))
 
     def _write(self, topic: str, time: int, message: Any) -> None:
-        if self._bag is not None:
-            self._bag.write(topic, time, message)
+        bag = self._open_bag()
+        if bag is not None:
+            bag.write(topic, time, message)
+
+    def _open_bag(self) -> BagWriter | None:
+        """The bag, with the scene in it; None if none is written."""
+        if self._bag is None and self._bag_path is not None:
+            self._bag = self._stack.enter_context(BagWriter(self._bag_path, keeps=True))
+            for time, topic, message in scene(self._spec.task, clock.time_ns(), self._frames.map):
+                self._bag.write(topic, time, message)
+        return self._bag
 
     def _open(self) -> Transport | None:
         """Transport with the topics announced; None if nothing is sent."""

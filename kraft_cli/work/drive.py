@@ -129,7 +129,7 @@ def drive_robot(
                 spec, on_check, on_cycle, on_status, display.sensed, keep_trees=display.draws_trees,
                 on_abandon=lambda known: _abandoned(Driven(request, spec, known, known.unwritten), problem),
             )  # fmt: skip
-    except (InputError, MissingError):
+    except (InputError, MissingError, KeyboardInterrupt):
         if out is not None:
             _remove_undriven(out)
         raise

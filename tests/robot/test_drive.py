@@ -350,15 +350,29 @@ def test_the_problems_of_all_options_are_told_at_once(
         assert problem in told
 
 
-def test_nobody_at_the_address_is_one_line_and_leaves_no_folder(
+def test_nobody_at_the_address_is_one_line_and_leaves_no_folder_and_the_bag_of_an_earlier_drive(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    robot = tmp_path / "robot.yaml"
+    robot, bag = tmp_path / "robot.yaml", tmp_path / "drive.mcap"
+    bag.write_bytes(b"an earlier drive")
     robot.write_text(ROBOT.format(transport='{kind: rosbridge, url: "ws://localhost:1"}', more="", give_up=2.0))
-    assert main(["drive", "boxes", "--robot", str(robot), "--out", str(tmp_path / "out"), "-q"]) == 2
+    arguments = ["--robot", str(robot), "--out", str(tmp_path / "out"), "--bag", str(bag), "-q"]
+    assert main(["drive", "boxes", *arguments]) == 2
     (line,) = capfd.readouterr().err.splitlines()
     assert line.startswith("transport: nobody answers at ws://localhost:1")
-    assert not (tmp_path / "out").exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.mcap", "robot.yaml"]
+    assert bag.read_bytes() == b"an earlier drive"
+
+
+def test_an_interrupt_before_the_drive_begins_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same command can be repeated."""
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(work, "drive", interrupted)
+    assert main(["drive", "boxes", "--robot", "sim", "--out", str(tmp_path / "out"), "-q"]) == 130
+    assert list(tmp_path.iterdir()) == []
 
 
 class Nothing:
