@@ -231,11 +231,14 @@ def _check_place(pose: Pose | None, task: Task, vehicle: Vehicle) -> list[Check]
 
 
 def _check_model(vehicle: Vehicle, *, is_simulated: bool) -> Check:
+    corners = vehicle.footprint.corners()
+    length, width = (corners.max(axis=0) - corners.min(axis=0)).tolist()
+    model = f"{vehicle.name}, {length:.2f} m long and {width:.2f} m wide,"
     if is_simulated:
-        return Check("model", "ok", f"{vehicle.name}, for a simulated robot")
+        return Check("model", "ok", f"{model} for a simulated robot")
     if _record(vehicle) is not None:
-        return Check("model", "ok", f"{vehicle.name} is identified")
-    return Check("model", "warning", f"{vehicle.name} states no identification: was it made for this car?")
+        return Check("model", "ok", f"{model} is identified")
+    return Check("model", "warning", f"{model} states no identification: was it made for this car?")
 
 
 def _check_units(vehicle: Vehicle, robot: Robot) -> list[Check]:

@@ -159,6 +159,12 @@ def test_slow_poses_and_a_missing_dead_man_are_warnings() -> None:
     assert states(found)["poses"] == states(found)["dead man"] == "warning"
 
 
+def test_the_check_list_shows_the_size_that_is_kept_free() -> None:
+    """A vehicle file that is identified from a bag has the footprint of another car until somebody writes the right one."""
+    for is_simulated in (True, False):
+        assert "0.58 m long and 0.31 m wide" in _check_model(load_vehicle("f1tenth"), is_simulated=is_simulated).detail
+
+
 def test_a_heading_that_is_turned_is_no_matter_of_units_at_the_origin() -> None:
     """There a position is the same in all of them."""
     scenario = load_scenario("boxes", {"start": {"x": 0.0, "y": 0.0, "heading_deg": 0.0}})
