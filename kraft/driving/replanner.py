@@ -9,7 +9,6 @@ end of cycle k; and plans from this state for cycle k + 1.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -33,19 +32,16 @@ from kraft.driving.method import PlannerSettings
 from kraft.driving.prediction import ClosedLoopPredictor, least_slack, required_clearance
 from kraft.driving.proposer import RECOVERY_MARGIN, Proposal, Proposer
 from kraft.driving.references import at_rest, contingency_reference, plan_reference, standing_reference
+from kraft.driving.room import nearest_free, place_with_room, refusal
 from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import VehicleModel, model_of
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Polygon
 from ompl_ext.plan import Plan
-from ompl_ext.poses import displacement, pose_of, poses_of
+from ompl_ext.poses import displacement, poses_of
 
 SETTLED = 0.3  # time after the end of a contingency from which on the vehicle stands (s)
 FORGET = 2.0  # time without a plan to the goal after which what blocked a vehicle is forgotten (s)
-ROOM = 0.02  # clearance that the place of a vehicle at rest is taken to have, so that it can leave (m)
-NEARBY = 0.06  # distance from the estimated place within which such a place is looked for: the error of an estimate (m)
-FARTHEST = 0.3  # distance within which a free place is looked for if the estimated one is in an obstacle (m)
-RING, PLACES = 0.02, 24  # distance between two rings of such places (m), and their number in a ring
 NO_ROOM = "the plan leaves no room for a stop without commands"
 NOISE = 0.1  # speed that the estimate of a standing vehicle may have (m/s)
 
@@ -124,6 +120,7 @@ class Replanner:
         self._contingency: Reference | None = None
         self._decision: Decision | None = None
         self._in_transit: list[tuple[float, Commitment]] = []
+        self._estimated_root: Floats = np.empty(0)  # predicted start of the cycle before it was given room
 
     def set_delay(self, delay: float) -> None:
         """Set the delay from the replanner to the effect of a command (s), as far as it is known now."""
@@ -302,24 +299,16 @@ class Replanner:
 
     def _root(self, estimate: Estimate, cycle_start: float, current: Commitment) -> tuple[Floats, Commitment]:
         """Predicted state (nx,) at the start of the cycle, and the commitment that is on board until then."""
-        state, time = self._nearest_free(estimate.state), estimate.time
+        state, time = nearest_free(self.dirt, estimate.state), estimate.time
         self._in_transit = [sent for sent in self._in_transit if sent[0] > time + 1e-9]
         for arrives, following in self._in_transit:
             state, time, current = self._predict(state, time, arrives, current).final_state, arrives, following
-        return self._with_room(self._predict(state, time, cycle_start, current).final_state), current
+        self._estimated_root = self._predict(state, time, cycle_start, current).final_state
+        return self._with_room(self._estimated_root), current
 
     def _with_room(self, root: Floats) -> Floats:
         """Predicted start of a cycle; that of a vehicle at rest has a little room, or as much as there is nearby."""
-        if not self._switches or not self._is_resting(root):
-            return root
-        best, most = root, self._free_by(root)
-        for state in self._around(root, NEARBY):
-            if most >= ROOM:
-                break
-            room = self._free_by(state)
-            if room > most:
-                best, most = state, room
-        return best
+        return place_with_room(self.dirt, root) if self._switches and self._is_resting(root) else root
 
     def _decide(self, root: Floats, cycle_start: float, estimate: Estimate, current: Commitment) -> Decision:
         """Safety check right before a cycle, from the latest estimate."""
@@ -354,6 +343,10 @@ class Replanner:
             return Decision(reference, predicted, "", plan)
         if self._proposer.loss is not None and self._proposer.loss.slack(predicted) < 0.0:
             return NO_ROOM
+        if root is not self._estimated_root:
+            refused = refusal(self.dirt, self._estimated_root, root, plan, predicted.states)
+            if refused is not None:
+                return refused
         stop, stopping = self._contingency_after(reference, predicted.final_state, cycle_start)
         if stop is None:
             return "no manoeuvre stops safely after the plan"
@@ -433,28 +426,6 @@ class Replanner:
         return displacement(root, expected, self.dirt.vehicle) <= 2.0 * float(
             required_clearance(self.dirt, expected[None, :], 0.0)[0]
         )
-
-    def _nearest_free(self, state: Floats) -> Floats:
-        """Nearest collision-free state within `FARTHEST`: a vehicle that still drives has not collided."""
-        if self._free_by(state) >= 0.0:
-            return state
-        return next((other for other in self._around(state, FARTHEST) if self._free_by(other) >= 0.0), state)
-
-    def _around(self, state: Floats, farthest: float) -> Iterator[Floats]:
-        """The state at places in rings around its own, the nearest ones first."""
-        pose = [self.dirt.vehicle.index("x"), self.dirt.vehicle.index("y")]
-        for ring in range(1, round(farthest / RING) + 1):
-            for k in range(PLACES):
-                moved, angle = state.copy(), k * math.tau / PLACES
-                moved[pose] += RING * ring * np.array([math.cos(angle), math.sin(angle)])
-                yield moved
-
-    def _free_by(self, state: Floats) -> float:
-        """Lower bound of the clearance of a state (nx,), m; minus infinity outside the workspace."""
-        (x0, x1), (y0, y1) = self.dirt.workspace.bounds
-        x, y, theta = pose_of(state, self.dirt.vehicle)
-        inside = x0 <= x <= x1 and y0 <= y <= y1
-        return self.dirt.pose_slack(x, y, theta) if inside else -math.inf
 
     def _with_delta(self, motion: PredictedMotion, cycle_start: float) -> PredictedMotion:
         """A motion with its bound, or with the clearance that SAFETY asks of it, if it asks for any."""

@@ -14,7 +14,8 @@ from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Geometric
 from kraft.driving.messages import Commitment, ContingencyOrigin, Cycle, Estimate, ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings
-from kraft.driving.replanner import NEARBY, Replanner
+from kraft.driving.replanner import Replanner
+from kraft.driving.room import NEARBY, free_by
 from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import CarModel
 from ompl_ext.arrays import Floats
@@ -189,7 +190,7 @@ def test_a_vehicle_at_rest_between_boxes_is_taken_to_stand_near_where_it_is_esti
     assert cycle.contingency_origin is ContingencyOrigin.STANDING
     assert math.dist(cycle.predicted.final_state[:2], place[:2]) <= NEARBY + 1e-9
     np.testing.assert_array_equal(cycle.predicted.states[0], cycle.predicted.final_state)
-    assert subject._free_by(cycle.predicted.final_state) >= subject._free_by(place)
+    assert free_by(subject.dirt, cycle.predicted.final_state) >= free_by(subject.dirt, place)
 
 
 def test_every_contingency_ends_at_standstill() -> None:

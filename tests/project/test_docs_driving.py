@@ -40,7 +40,7 @@ from kraft.driving.proposer import (
     STALLED,
 )
 from kraft.driving.remainder import ATTEMPT_TOLERANCE, CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
-from kraft.driving.replanner import NEARBY, ROOM
+from kraft.driving.room import NEARBY, NEARER, ROOM
 from kraft.driving.search_budget import PATIENCE
 from kraft.driving.solvers import COVER_EXCESS, method_safety
 from kraft.scenario import Sensing
@@ -180,6 +180,7 @@ def test_quoted_constants_are_those_in_the_code() -> None:
         f"exceeds {NOTICED:g}. The next cycles test the motion since then as well",
         f"If for {PROGRESS_TIME:g} s no plan was cheaper by {PROGRESS * PROGRESS_TIME:g} s than the cheapest one before",
         f"no higher level is tried, for {INSISTENCE:g} s at most", f"and {ATTEMPT_TOLERANCE:g} s more after each attempt", f"less than {100 * ROOM:g} cm of clearance", f"with {100 * ROOM:g} cm within {100 * NEARBY:g} cm",
+        f"only if its first {NEAR:g} s come nowhere more than {1000 * NEARER:g} mm nearer",
         f"up to {LATER_DELAY:g} s (`LATER_DELAY`)", f"From {NEAR:g} s on (`NEAR`)", f"{LATER_DELTA:g} m or what the pose's error asks for",
         f"a growth of at most {LATER_GROWTH:g} m/s, and at most {LATER_DELAY:g} s for the speed",
         f"exceed it by at most {100 * COVER_EXCESS:g} % of its width",
