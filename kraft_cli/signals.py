@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import os
 import signal
+import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,6 +20,8 @@ Handler: TypeAlias = Callable[[int], None]
 
 ECHO: Final = 1.0
 """Time for which SIGTERM and SIGHUP are ignored after a signal, s: `timeout` and a closing terminal send them twice."""
+AGAIN: Final = 0.05
+"""Time after which a signal whose exception Python ignored is sent again, s; plus `ECHO` where that ignores it."""
 WORDS: Final[dict[int, str]] = {
     signal.SIGINT: "interrupted",
     signal.SIGTERM: "terminated",
@@ -64,6 +68,24 @@ def set_handler(handler: Handler) -> dict[int, Any]:
     except ValueError:  # not in the main thread, which alone handles signals
         pass
     return before
+
+
+def repeat_ignored_signals() -> None:
+    """Send a signal again whose exception Python ignored: one that arrived in a finalizer, or in a callback of a fork.
+
+    Without that the command would go on as if nobody had interrupted it.
+    """
+    others = sys.unraisablehook
+
+    def hook(event: sys.UnraisableHookArgs) -> None:
+        if not isinstance(event.exc_value, KeyboardInterrupt):
+            others(event)
+            return
+        number = _number(event.exc_value)
+        after = AGAIN if number == signal.SIGINT else ECHO + AGAIN
+        threading.Timer(after, os.kill, (os.getpid(), number)).start()
+
+    sys.unraisablehook = hook
 
 
 @contextmanager

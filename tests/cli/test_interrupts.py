@@ -143,6 +143,28 @@ def test_signals_that_are_ignored_stay_so_and_an_echo_is_ignored() -> None:
     assert received == [signal.SIGTERM, signal.SIGINT]
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_in_a_finalizer_ends_the_command_all_the_same(number: int) -> None:
+    """Python ignores exceptions of finalizers, so that the signal would be lost."""
+    code = f"""
+        import signal, time
+        from kraft_cli.signals import raise_stopped, repeat_ignored_signals, set_handler, word_of
+        class Finalized:
+            def __del__(self):
+                signal.raise_signal({int(number)})
+        repeat_ignored_signals()
+        set_handler(raise_stopped)
+        try:
+            Finalized()
+            time.sleep(10.0)
+        except KeyboardInterrupt as error:
+            print(word_of(error))
+    """
+    command = [sys.executable, "-c", textwrap.dedent(code)]
+    run = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
+    assert (run.stdout, run.stderr) == ({signal.SIGINT: "interrupted\n", signal.SIGTERM: "terminated\n"}[number], "")
+
+
 def test_a_terminal_that_was_closed_gets_no_more_messages_and_hinders_nothing() -> None:
     program = textwrap.dedent("""
         import time
