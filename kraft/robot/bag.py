@@ -5,6 +5,7 @@ The bag of a simulated drive depends on the drive alone: the same seed gives the
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -18,7 +19,7 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from kraft.driving.messages import Cycle
-from kraft.errors import InputError
+from kraft.errors import Code, InputError
 from kraft.files import check_writable, file_mode, unwritable
 from kraft.recording.recorder import Recording
 from kraft.robot.display import Frames, cycle_messages, occupancy_grid, scene_markers
@@ -52,14 +53,16 @@ _NAME: Final = "drive"
 """Name of the file while it is written; the bag contains it."""
 
 
-def check_bag(path: Path) -> None:
-    """Check before the drive that a bag can be written.
+def check_bag(path: Path, *, new: bool = False) -> None:
+    """Check before the drive that a bag can be written; a `new` one replaces no file, since no drive can be repeated.
 
     Raises:
-        InputError: if the name has another ending than .mcap, or it cannot be written.
+        InputError: if the name has another ending than .mcap, it cannot be written, or a new one is there already.
     """
     if path.suffix != ".mcap":
         raise InputError.of_argument("bag", f"is {str(path)!r}", "expected the name of an .mcap file")
+    if new and os.path.lexists(path):
+        raise InputError.of(str(path), "is there already", "expected a new file for the bag", Code.EXISTS)
     check_writable(path)
 
 

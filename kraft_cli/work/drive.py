@@ -204,7 +204,7 @@ def load_files(request: DriveRequest) -> DriveFiles:
     scenario = problems.of(lambda: load_scenario(request.scenario, settings or ()))
     problems.found += out_of_range("seed", request.seed, 0)
     problems.of(lambda: None if out is None else check_new_folder(out))
-    problems.of(lambda: None if bag is None else check_bag(bag))
+    problems.of(lambda: None if bag is None else check_bag(bag, new=True))
     if scenario is not None and method is not None:
         vehicle = problems.of(partial(planning_vehicle, scenario, method, reference))
     else:  # the model alone

@@ -350,17 +350,23 @@ def test_the_problems_of_all_options_are_told_at_once(
         assert problem in told
 
 
-def test_nobody_at_the_address_is_one_line_and_leaves_no_folder_and_the_bag_of_an_earlier_drive(
+def test_nobody_at_the_address_is_one_line_and_leaves_neither_folder_nor_bag(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    robot, bag = tmp_path / "robot.yaml", tmp_path / "drive.mcap"
-    bag.write_bytes(b"an earlier drive")
+    robot = tmp_path / "robot.yaml"
     robot.write_text(ROBOT.format(transport='{kind: rosbridge, url: "ws://localhost:1"}', more="", give_up=2.0))
-    arguments = ["--robot", str(robot), "--out", str(tmp_path / "out"), "--bag", str(bag), "-q"]
+    arguments = ["--robot", str(robot), "--out", str(tmp_path / "out"), "--bag", str(tmp_path / "drive.mcap"), "-q"]
     assert main(["drive", "boxes", *arguments]) == 2
     (line,) = capfd.readouterr().err.splitlines()
     assert line.startswith("transport: nobody answers at ws://localhost:1")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.mcap", "robot.yaml"]
+    assert list(tmp_path.iterdir()) == [robot]
+
+
+def test_the_bag_of_an_earlier_drive_is_not_replaced(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    bag = tmp_path / "drive.mcap"
+    bag.write_bytes(b"an earlier drive")
+    assert main(["drive", "boxes", "--robot", "sim", "--bag", str(bag), "-q"]) == 2
+    assert capfd.readouterr().err == f"{bag}: is there already; expected a new file for the bag\n"
     assert bag.read_bytes() == b"an earlier drive"
 
 
