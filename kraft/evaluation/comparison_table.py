@@ -45,20 +45,33 @@ MARK: Final = " *"
 """Behind the name of an entry whose scenario is not the same in both evaluations."""
 DIFFERENCES_MAX: Final = 20
 """Most differences that are printed."""
+ROWS_MAX: Final = 20
+"""Most rows of which those are printed too whose drives are all the same."""
 VALUE_MAX: Final = 60
 """Most characters of a value that are printed."""
 
 
 def comparison_tables(comparison: Comparison) -> list[Table]:
-    """Table of all rows, and if there are several entries that of all entries together."""
+    """Table of the rows, of many only those that differ, and if there are several entries that of all together."""
     rows, totals = comparison.rows, comparison.totals
     left_out = set() if any(side["failed"] for row in rows for side in row.counts) else {"failed A/B"}
-    found = [_table("", rows, left_out)]
+    shown = _shown(comparison)
+    found = [_table("", shown, left_out)] if shown else []
     return [*found, _table("all entries", totals, left_out | {"entry"})] if totals else found
+
+
+def _shown(comparison: Comparison) -> list[PairedRow]:
+    """Rows of the table."""
+    rows = comparison.rows
+    return [row for row in rows if row.identical < row.pairs] if len(rows) > ROWS_MAX else list(rows)
 
 
 def remarks(comparison: Comparison) -> Iterator[str]:
     """Lines about what was compared: the folders, what each lacks, and what differs in the manifests."""
+    same = len(comparison.rows) - len(_shown(comparison))
+    if same:
+        have = "has" if same == 1 else "have"
+        yield f"{counted(same, 'row')} whose drives are all the same {have} no line above; --json has all"
     for label, folder, missing in zip("AB", comparison.folders, comparison.missing, strict=True):
         yield f"{label}: {folder}" + (f", {counted(missing, 'trial')} not run yet" if missing else "")
     for label, alone in zip("AB", comparison.alone, strict=True):

@@ -53,6 +53,17 @@ def versions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Comparison:
     return compare(run(monkeypatch, tmp_path / "a", first), run(monkeypatch, tmp_path / "b", second))
 
 
+def test_of_many_rows_those_are_counted_whose_drives_are_all_the_same(
+    versions: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("kraft.evaluation.comparison_table.ROWS_MAX", 1)
+    assert [row[0] for row in comparison_tables(versions)[0].rows] == ["turns"]
+    assert next(remarks(versions)) == "1 row whose drives are all the same has no line above; --json has all"
+    same = compare(tmp_path / "a", tmp_path / "a")
+    assert [table.title for table in comparison_tables(same)] == ["all entries"]
+    assert next(remarks(same)).startswith("2 rows whose drives are all the same have")
+
+
 def of_entry(comparison: Comparison, entry: str) -> PairedRow:
     (found,) = [row for row in comparison.rows if row.entry == entry]
     return found
