@@ -7,9 +7,12 @@ from typing import Annotated, Final, Literal, get_args
 from pydantic import Field
 
 from kraft.config.schema import NonNegative, Positive, StrictModel
+from ompl_ext.query import Safety
 
 Seconds = Annotated[float, Field(gt=0, le=1000)]
-Rate = Annotated[float, Field(gt=0, le=500)]
+RATE_MIN: Final = 1.0 / Safety.step
+"""Least rate of commands, 1/s: contingencies, and plans where they are optimised, have a control for every 0.1 s."""
+Rate = Annotated[float, Field(ge=RATE_MIN, le=500)]
 Gain = Annotated[float, Field(ge=-1000, le=1000)]
 
 
@@ -82,7 +85,7 @@ class Predictive(StrictModel):
     """commands per second"""
     objective: Literal["goal", "plan"] = "goal"
     """`goal` drives to the goal by the cost-to-go, `plan` tracks the plan"""
-    predicted_hz: Rate = 4.0
+    predicted_hz: Annotated[float, Field(gt=0, le=500)] = 4.0
     """times a second that the controls are computed anew where the closed loop is only predicted"""
 
 

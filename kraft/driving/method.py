@@ -25,7 +25,7 @@ from kraft.config.schema import (
     refuse,
 )
 from kraft.config.source import Source
-from kraft.driving.control_settings import PREDICTIVE, ControllerSettings, Seconds
+from kraft.driving.control_settings import PREDICTIVE, RATE_MIN, ControllerSettings, OpenLoop, Seconds
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.vehicles import check_state
 from kraft.vehicles.load import problem_of
@@ -359,11 +359,26 @@ class Method(StrictModel):
             problem = "is a path that no vehicle can track" if not heads_for_goal else "plans what nothing tracks"
             expected = "expected `geodesic` together with a controller that has `objective: goal`"
             yield refuse(problem, expected, ("planner", "type"), Code.CONFLICT)
+        yield from _too_slow(planner, controller)
 
     @property
     def source(self) -> Source:
         """Position of each value in the file."""
         return self._source
+
+
+def _too_slow(planner: Mapping[str, object], controller: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+    """Problem of a controller that sends no command in some cycles, whose decisions nothing tracks then, if it does."""
+    rate = controller.get("rate_hz", OpenLoop.model_fields["rate_hz"].default)
+    given = (planner.get("cycle", PlannerSettings.model_fields["cycle"].default), planner.get("clock_cycle"))
+    cycles = [cycle for cycle in given if is_number(cycle) and cycle > 0]
+    if planner.get("mode") != "replanning" or not cycles or not is_number(rate):
+        return
+    least = 1.0 / min(cycles)
+    # slower than `RATE_MIN` is refused by itself; the share is for the rounding of 1 / cycle
+    if least > RATE_MIN and rate < least * (1.0 - 1e-9):
+        problem = f"is {rate:g}, less than one command in each cycle of {min(cycles):g} s"
+        yield refuse(problem, f"expected at least {least:.6g}", ("controller", "rate_hz"), Code.CONFLICT)
 
 
 METHOD_FILES: Final = BasedFiles("method", Method, ("name", "title", "description"))

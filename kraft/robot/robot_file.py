@@ -13,12 +13,13 @@ from pydantic_core import PydanticCustomError
 from kraft.config import bundled
 from kraft.config.schema import Angle, Name, Positive, StrictModel, is_number, read_model, refuse
 from kraft.config.source import Source
+from kraft.driving.control_settings import Rate
 from kraft.errors import Code
 
 Topic = Annotated[str, StringConstraints(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")]
 Frame = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_/]*$")]
 Seconds = Annotated[float, Field(gt=0, le=60)]
-Rate = Annotated[float, Field(ge=1, le=500)]
+PoseRate = Annotated[float, Field(ge=1, le=500)]
 Offset = Annotated[float, Field(ge=-10, le=10)]
 POSE_RATE: Final = 30.0
 """Poses per second, Hz, ..."""
@@ -100,7 +101,7 @@ class PoseInput(StrictModel):
     """frame of the poses: that of the scenario"""
     stamp: Literal["header", "arrival"] = "header"
     """clock of the poses: the header's stamp, or the time of arrival"""
-    rate_hz: Rate = POSE_RATE
+    rate_hz: PoseRate = POSE_RATE
     """poses per second that are expected"""
     reliable: bool = False
     """ask DDS to send lost poses again"""

@@ -65,6 +65,7 @@ def test_the_estimator_of_the_paper_is_the_default(tmp_path: Path) -> None:
         ("look: 0.1", "softening: 0", (5, 55), "controller.softening", "greater than 0"),
         ("kind: kinodynamic, k_path: 5, look: 0.1", "kind: geometric, gains: [1, 2]", (5, 38), "controller.gains", "3 items"),
         ("kind: filter", "kind: kalman", (4, 19), "estimator.kind", "one of latest, filter, adaptive, oracle"),
+        ("look: 0.1", "rate_hz: 5", (5, 53), "controller.rate_hz", "at least 10"),
         ("replanning,", "replanning, lead: 2,", (3, 35), "planner.lead", "less than 1"),
         ("replanning,", "replanning, vehicle: musrh,", (3, 38), "planner.vehicle", "did you mean 'mushr'"),
         ("title: Mine\n", "", (1, 1), "title", ""),
@@ -77,6 +78,26 @@ def test_a_wrong_method_file_has_one_problem_at_its_place(
     (problem,) = problems_of(tmp_path, GOOD.replace(old, new))
     assert ((problem.line, problem.column), problem.path) == (place, path)
     assert name in str(problem)
+
+
+@pytest.mark.parametrize(
+    ("cycles", "rate", "least"),
+    [
+        ("cycle: 0.04, lead: 0", 20, 25), ("cycle: 0.25, clock_cycle: 0.05", 19, 20), ("cycle: 0.04, lead: 0", 25, None),
+        ("cycle: 0.3", 10, None), ("cycle: 0.049, lead: 0", 20.408163265, None),
+    ],
+)  # fmt: skip
+def test_a_controller_sends_a_command_in_each_cycle(
+    tmp_path: Path, cycles: str, rate: float, least: float | None
+) -> None:
+    text = GOOD.replace("replanning,", f"replanning, {cycles},").replace("look: 0.1", f"rate_hz: {rate}")
+    found = [(each.path, each.line, each.column, each.expected) for each in problems_of(tmp_path, text)]
+    assert found == ([] if least is None else [("controller.rate_hz", 5, 53, f"expected at least {least}")])
+
+
+def test_a_method_that_plans_once_has_no_cycles_to_send_commands_in(tmp_path: Path) -> None:
+    one_shot = "mode: one-shot, cycle: 0.05, lead: 0"
+    assert problems_of(tmp_path, GOOD.replace("mode: replanning", one_shot).replace("look: 0.1", "rate_hz: 10")) == ()
 
 
 def test_an_unknown_method_is_answered_with_the_nearest_one() -> None:
