@@ -13,7 +13,12 @@ Seconds = Annotated[float, Field(gt=0, le=1000)]
 RATE_MIN: Final = 1.0 / Safety.step
 """Least rate of commands, 1/s: contingencies, and plans where they are optimised, have a control for every 0.1 s."""
 Rate = Annotated[float, Field(ge=RATE_MIN, le=500)]
-Gain = Annotated[float, Field(ge=-1000, le=1000)]
+Gain = Annotated[float, Field(ge=0, le=1000)]
+"""Gain on a deviation; a negative one would steer away from the plan."""
+LeadGain = Annotated[float, Field(ge=-1000, le=1000)]
+"""Gain on a rate of change; a negative one makes the response slower."""
+Deviation = Annotated[float, Field(ge=1e-6, le=1e6)]
+"""Standard deviation, or an error that weighs 1: squares of the ratio of two of them have to be numbers."""
 
 
 class OpenLoop(StrictModel):
@@ -36,7 +41,7 @@ class Geometric(StrictModel):
     """length of path between the nearest point and the point aimed at, m"""
     window: Annotated[int, Field(ge=1, le=100_000)] = 50
     """samples of the path around the last nearest point among which the next one is searched"""
-    gains: tuple[Gain, Gain, Gain] = (1.0, 1.5, -0.25)
+    gains: tuple[Gain, Gain, LeadGain] = (1.0, 1.5, -0.25)
     """proportional, integral and derivative gain on the direction to the point aimed at"""
 
 
@@ -66,13 +71,13 @@ class Lqr(StrictModel):
     """which controller"""
     rate_hz: Rate = 30.0
     """commands per second"""
-    position: Positive = 0.1
+    position: Deviation = 0.1
     """error of the position that weighs 1, m"""
-    heading_deg: Positive = 10.0
+    heading_deg: Deviation = 10.0
     """error of the heading that weighs 1, degrees"""
-    speed: Positive = 0.3
+    speed: Deviation = 0.3
     """error of the speed that weighs 1; of a turning rate, that of the vehicle's sides, m/s"""
-    control_share: Positive = 0.5
+    control_share: Deviation = 0.5
     """correction of a control that weighs 1, as a share of its range"""
     settling: Positive = 1.0
     """time after the end of a reference that errors at its end count for, s"""
@@ -102,11 +107,11 @@ class RolloutCost(Predictive):
     """weight of being nearer to an obstacle than the margin, 1/s"""
     margin: NonNegative = 0.05
     """distance to obstacles, beyond the clearance of contingencies, below which it costs to be near, m"""
-    position: Positive = 0.1
+    position: Deviation = 0.1
     """error of the position from the plan that weighs 1, m"""
-    heading_deg: Positive = 20.0
+    heading_deg: Deviation = 20.0
     """error of the heading from the plan that weighs 1, degrees"""
-    speed: Positive = 0.3
+    speed: Deviation = 0.3
     """error of the speed from the plan that weighs 1, m/s"""
 
 
@@ -163,13 +168,13 @@ class Nmpc(Predictive):
     """cost of what is missing of that distance, 1/m"""
     cruise: Annotated[float, Field(gt=0, le=1)] = 0.9
     """speed along a path, as a share of the top speed"""
-    position: Positive = 0.1
+    position: Deviation = 0.1
     """error of the position that weighs 1, m"""
-    heading_deg: Positive = 30.0
+    heading_deg: Deviation = 30.0
     """error of the heading that weighs 1, degrees"""
-    speed: Positive = 0.3
+    speed: Deviation = 0.3
     """error of the speed that weighs 1, m/s"""
-    change: Positive = 1.0
+    change: Deviation = 1.0
     """change of a control from step to step that weighs 1, as a share of its range"""
 
 

@@ -25,7 +25,7 @@ from kraft.config.schema import (
     refuse,
 )
 from kraft.config.source import Source
-from kraft.driving.control_settings import PREDICTIVE, RATE_MIN, ControllerSettings, OpenLoop, Seconds
+from kraft.driving.control_settings import PREDICTIVE, RATE_MIN, ControllerSettings, Deviation, OpenLoop, Seconds
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.vehicles import check_state
 from kraft.vehicles.load import problem_of
@@ -60,7 +60,7 @@ class CalibratedBound(StrictModel):
     """number of cycles that the initial scale counts for"""
     memory_cycles: Annotated[float, Field(ge=2, le=1e6)] = 30.0
     """number of cycles after which an observed deviation has lost most of its weight"""
-    expected_ratio: Positive = 0.2
+    expected_ratio: Deviation = 0.2
     """root mean square of observed deviations over the bound where the stated covariance is right"""
     limits: tuple[Positive, Positive] = (0.85, 2.5)
     """least and largest scale"""
@@ -244,19 +244,19 @@ class Filter(StrictModel):
 
     kind: Literal["filter"]
     """which estimator"""
-    position_noise: Positive = 0.1
+    position_noise: Deviation = 0.1
     """standard deviation of an observed position, m"""
-    heading_noise_deg: Positive = 8.0
+    heading_noise_deg: Deviation = 8.0
     """standard deviation of an observed heading, degrees"""
-    start_position_noise: Positive = 0.02
+    start_position_noise: Deviation = 0.02
     """standard deviation of the start that the scenario gives, m"""
-    start_heading_noise_deg: Positive = 2.0
+    start_heading_noise_deg: Deviation = 2.0
     """standard deviation of the start's heading, degrees"""
-    drift: Positive = 0.03
+    drift: Deviation = 0.03
     """standard deviation of the position that the model loses in one second, m"""
-    heading_drift_deg: Positive = 5.0
+    heading_drift_deg: Deviation = 5.0
     """standard deviation of the heading that the model loses in one second, degrees"""
-    speed_drift: Positive = 0.2
+    speed_drift: Deviation = 0.2
     """standard deviation of the speed that the model loses in one second, m/s"""
     confidence: Annotated[Probability, Field(gt=0.5, lt=1)] = 0.997
     """an observation that is farther off than this share of them is given less weight"""
@@ -279,31 +279,31 @@ class Adaptive(StrictModel):
     """time between two states of the identification, s"""
     iterations: Annotated[int, Field(ge=1, le=50)] = 2
     """largest number of iterations of the identification in a cycle; each cycle begins at the result of the last one"""
-    delay_std: Positive = 0.15
+    delay_std: Deviation = 0.15
     """standard deviation of the prior of the delay, s"""
-    position_noise: Positive = 0.04
+    position_noise: Deviation = 0.04
     """standard deviation of an observed position before residuals are known, m"""
-    heading_noise_deg: Positive = 2.0
+    heading_noise_deg: Deviation = 2.0
     """standard deviation of an observed heading before residuals are known, degrees"""
     correlated_share: Probability = 0.6
     """share of the pose error's variance that is correlated, before residuals are known"""
     correlation_time: Seconds = 1.0
     """time constant of the correlated pose error, s"""
-    position_offset: Positive = 0.03
+    position_offset: Deviation = 0.03
     """standard deviation of the camera's offset, which differs from place to place, m"""
-    heading_offset_deg: Positive = 0.5
+    heading_offset_deg: Deviation = 0.5
     """the same of the heading, degrees"""
     offset_time: Seconds = 4.0
     """time in which the vehicle comes to a place with another offset, s"""
-    start_position_noise: Positive = 0.02
+    start_position_noise: Deviation = 0.02
     """standard deviation of the start that the scenario gives, m"""
-    start_heading_noise_deg: Positive = 2.0
+    start_heading_noise_deg: Deviation = 2.0
     """standard deviation of the start's heading, degrees"""
-    drift: Positive = 0.01
+    drift: Deviation = 0.01
     """standard deviation of the position that the model loses in one second, m"""
-    heading_drift_deg: Positive = 1.5
+    heading_drift_deg: Deviation = 1.5
     """standard deviation of the heading that the model loses in one second, degrees"""
-    speed_drift: Positive = 0.06
+    speed_drift: Deviation = 0.06
     """standard deviation of the speed that the model loses in one second, m/s"""
     control_share: Probability = 0.015
     """standard deviation of an applied control from its command, as a share of its range"""
