@@ -22,6 +22,7 @@ from kraft.planning.feasibility import check_placement, needs_motions
 from kraft.planning.workspace import start_state
 from kraft.scenario import Scenario
 from kraft.text import Log, no_log
+from kraft.trial.early_watchdog import early_watchdog
 from kraft.trial.far_camera import far_camera
 from kraft.trial.planning_vehicle import (
     check_robot,
@@ -79,6 +80,7 @@ class Cell:
 WARNINGS: Final[tuple[Callable[[Cell], str], ...]] = (
     lambda cell: far_camera(cell.scenario),
     lambda cell: unguided_goal(cell.scenario, cell.method),
+    lambda cell: early_watchdog(cell.method),
     lambda cell: other_robot(cell.scenario, cell.vehicle),
     lambda cell: uncorrected_slope(cell.scenario, cell.method, cell.vehicle),
 )

@@ -1,0 +1,28 @@
+"""Warning of a watchdog that stops the car before the replanner commits a contingency."""
+
+from pathlib import Path
+
+import pytest
+
+from kraft.config import bundled
+from kraft.driving.method import load_method
+from kraft.evaluation.experiment import WARNINGS, experiment_of
+from kraft.trial.early_watchdog import early_watchdog
+
+
+@pytest.mark.parametrize(("watchdog", "early"), [(0.1, True), (0.5, True), (0.6, False), (None, False)])
+def test_a_watchdog_that_is_not_longer_than_the_patience_is_said(watchdog: float | None, early: bool) -> None:
+    method = load_method("adaptive-kraft")
+    method = method.model_copy(update={"planner": method.planner.model_copy(update={"watchdog": watchdog})})
+    assert ("planner.watchdog" in early_watchdog(method)) is early
+
+
+@pytest.mark.parametrize("name", bundled.names("method"))
+def test_no_bundled_method_has_an_early_watchdog(name: str) -> None:
+    assert early_watchdog(load_method(name)) == ""
+
+
+def test_a_trial_and_an_evaluation_warn_of_an_early_watchdog(tmp_path: Path) -> None:
+    (tmp_path / "m.yaml").write_text("base: adaptive-kraft\nname: m\ntitle: M\nplanner: {watchdog: 0.1}\n")
+    (cell,) = experiment_of(["turns"], [tmp_path / "m.yaml"]).cells
+    assert [text for warning in WARNINGS if (text := warning(cell))] == [early_watchdog(cell.method)]
