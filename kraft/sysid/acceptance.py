@@ -15,6 +15,7 @@ from kraft.sysid.data import LogSplit
 from kraft.sysid.interface import (
     CORRELATION_INDISTINGUISHABLE,
     Identification,
+    Noise,
     PredictionErrors,
     Settings,
     correlations,
@@ -160,7 +161,7 @@ def evaluate_predictions(
 
     fitted = pair(log_split.fitted)
     if not log_split.held_out:
-        return PredictionEvaluation(fitted, None, fitted_warnings(fitted))
+        return PredictionEvaluation(fitted, None, fitted_warnings(fitted, result.noise))
     try:
         unseen = pair(log_split.held_out)
     except InputError as error:
@@ -168,15 +169,15 @@ def evaluate_predictions(
         warning = (
             f"the fit is not tested: {counted(len(log_split.held_out), 'held-out log')} cannot be predicted ({why})"
         )
-        return PredictionEvaluation(fitted, None, (warning, *fitted_warnings(fitted)))
+        return PredictionEvaluation(fitted, None, (warning, *fitted_warnings(fitted, result.noise)))
     return PredictionEvaluation(
-        fitted, unseen, (*prediction_warnings(unseen), *_unpredicted(log_split.held_out, unseen))
+        fitted, unseen, (*prediction_warnings(unseen, result.noise), *_unpredicted(log_split.held_out, unseen))
     )
 
 
-def fitted_warnings(pair: PredictionPair) -> tuple[str, ...]:
+def fitted_warnings(pair: PredictionPair, noise: Noise) -> tuple[str, ...]:
     """The warning that the identified values predict not even the logs that they were fitted to, if so."""
-    if _ratio(pair) <= SIMILAR_ERROR_RATIO:
+    if not _predicts_worse(pair, noise):
         return ()
     return (
         f"the identified values predict even the fitted logs no better than the initial values do ({_errors(pair)}): "
@@ -213,14 +214,14 @@ def odd_log_warning(evaluation: PredictionEvaluation) -> tuple[str, ...]:
     )
 
 
-def prediction_warnings(pair: PredictionPair) -> tuple[str, ...]:
+def prediction_warnings(pair: PredictionPair, noise: Noise) -> tuple[str, ...]:
     """The warning that the identified values predict no better than the initial ones, if so."""
     after, constant = pair.errors.overall_position, pair.constant_errors.overall_position
     useless = (
         f"the model is useless for prediction: constant speed and turning rate predict held-out logs as well (position "
         f"{100 * constant:.2f} cm, the model {100 * after:.2f} cm)",
     ) if after >= constant else ()  # fmt: skip
-    if _ratio(pair) <= SIMILAR_ERROR_RATIO:
+    if not _predicts_worse(pair, noise):
         return useless
     return (
         *useless,
@@ -254,6 +255,19 @@ def prediction_objections(pair: PredictionPair) -> tuple[str, ...]:
     if _ratio(pair) < EXCESSIVE_ERROR_RATIO:
         return ()
     return (f"held-out logs are predicted far better with the initial values ({_errors(pair)})",)
+
+
+def _predicts_worse(pair: PredictionPair, noise: Noise) -> bool:
+    """Whether the identified values predict worse than the initial ones, by more than the noise of a pose hides.
+
+    Initial values that are right predict held-out logs best: others differ from them by what the noise of the fitted
+    logs does to the values.  An error that is added to those of the initial values adds its square to theirs.
+    """
+    after, before = pair.errors.overall_position, pair.initial_errors.overall_position
+    if not math.isfinite(after):
+        return True
+    added = math.sqrt(max(after**2 - before**2, 0.0)) if math.isfinite(before) else 0.0
+    return _ratio(pair) > SIMILAR_ERROR_RATIO and added > math.sqrt(2.0) * noise.position  # which is that in x and in y
 
 
 def _ratio(pair: PredictionPair) -> float:

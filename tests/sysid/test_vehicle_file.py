@@ -29,7 +29,7 @@ from kraft.sysid.acceptance import (
 )
 from kraft.sysid.base_vehicle import BaseVehicle, load_base_vehicle, with_recorded
 from kraft.sysid.data import LogSplit, split_logs
-from kraft.sysid.interface import ModelTrial, ParameterEstimate, Settings
+from kraft.sysid.interface import ModelTrial, Noise, ParameterEstimate, Settings
 from kraft.sysid.parameters import parameters_of
 from kraft.sysid.prediction import Window
 from kraft.sysid.vehicle_file import (
@@ -305,13 +305,26 @@ def test_values_that_predict_unseen_logs_worse_than_before_are_warned_of_and_far
     unseen = PredictionPair(
         fake_windows(LOGS[3:], identified_drift), fake_windows(LOGS[3:], 0.1), fake_windows(LOGS[3:], 1.0)
     )
-    assert len(prediction_warnings(unseen)) == warned
-    assert len(fitted_warnings(unseen)) == warned
+    noise = Noise(0.001, 0.01)
+    assert len(prediction_warnings(unseen, noise)) == warned
+    assert len(fitted_warnings(unseen, noise)) == warned
     found = objections(RESULT, replace(EVALUATION, held_out=unseen))
     assert len(found) == refused
-    for said in (*prediction_warnings(unseen), *found):
+    for said in (*prediction_warnings(unseen, noise), *found):
         assert re.search(r"\d\d\.\d\d cm identified, \d\d\.\d\d cm initial", said)
     assert objections(RESULT, replace(EVALUATION, held_out=None)) == ()
+
+
+@pytest.mark.parametrize(("position", "warned"), [(0.001, 1), (0.02, 1), (0.2, 0)])
+def test_values_that_predict_as_well_as_the_noise_of_the_poses_allows_are_not_warned_of(
+    position: float, warned: int
+) -> None:
+    """The drift adds several centimetres to errors, in the square."""
+    pair = PredictionPair(fake_windows(LOGS, 0.11), fake_windows(LOGS, 0.1), fake_windows(LOGS, 1.0))
+    added = np.sqrt(pair.errors.overall_position**2 - pair.initial_errors.overall_position**2)
+    assert 0.02 * np.sqrt(2.0) < added < 0.2 * np.sqrt(2.0)
+    assert len(prediction_warnings(pair, Noise(position, 0.01))) == warned
+    assert len(fitted_warnings(pair, Noise(position, 0.01))) == warned
 
 
 @pytest.mark.parametrize(
