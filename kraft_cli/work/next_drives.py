@@ -192,7 +192,7 @@ def _with_controls(
     return replace(definition, controls={**definition.controls, **limits})
 
 
-def load_prior(reference: str, vehicle: Vehicle | None) -> VehicleConfig:
+def load_prior(reference: str, vehicle: Vehicle | None) -> VehicleConfig | Vehicle:
     """The model to identify, with the commands of the vehicle that drives; with its own if that is None.
 
     Raises:
@@ -205,35 +205,50 @@ def load_prior(reference: str, vehicle: Vehicle | None) -> VehicleConfig:
         expected = f"expected {', '.join(vehicle.controls)}, those of {vehicle.name}, which drives"
         raise InputError.of(reference, problem, expected, Code.MISMATCH)
     definition = base.definition
-    expected = "expected a vehicle file that states min, max and std of each parameter to identify"
-    if not isinstance(definition, VehicleConfig):
-        raise InputError.of(reference, "is code, which states no priors", expected, Code.MISSING)
-    free = {name: p for name, p in definition.parameters.items() if not p.fixed}
-    if not free:
-        raise InputError.of(reference, "has no parameter to identify", expected, Code.MISSING)
-    unstated = [
-        definition.source.diagnostic(
-            ("parameters", name), f"has no {' and no '.join(lacking)}", "expected bounds and prior", code=Code.MISSING
-        )
-        for name, p in free.items()
-        if (lacking := [key for key in ("min", "max", "std") if getattr(p, key) is None])
-    ]
-    if unstated:
-        raise InputError(unstated)
+    _check_priors(base)
     if has_terms(definition) and set(COMMANDS_OF.values()) <= set(definition.parameters):
-        limits = np.array([vehicle.controls[name] for name in vehicle.controls]).T
-        part = Part(np.array([0.0, 1.0]), limits, np.array([0.0, 1.0]), np.zeros((2, 3)))
-        ranged = for_commands(base, [Log("", (), tuple(vehicle.controls), (part,))]).definition
-        assert isinstance(ranged, VehicleConfig)
-        return ranged
+        extremes = np.array([vehicle.controls[name] for name in vehicle.controls]).T
+        part = Part(np.array([0.0, 1.0]), extremes, np.array([0.0, 1.0]), np.zeros((2, 3)))
+        return for_commands(base, [Log("", (), tuple(vehicle.controls), (part,))]).definition
     own = base.vehicle.controls
-    return definition.with_controls(
-        {name: (max(low, own[name][0]), min(high, own[name][1])) for name, (low, high) in vehicle.controls.items()}
-    )
+    limits = {name: (max(low, own[name][0]), min(high, own[name][1])) for name, (low, high) in vehicle.controls.items()}
+    return _with_controls(definition, limits)
+
+
+def _check_priors(base: BaseVehicle) -> None:
+    """Check that bounds and prior of each parameter to identify are stated.
+
+    Raises:
+        InputError: with every parameter that lacks them, or if there is none to identify.
+    """
+    definition, reference = base.definition, base.reference
+    free = {name: p for name, p in base.parameters.items() if not p.fixed}
+    if not free:
+        expected = "expected one with min, max and std that is not fixed"
+        raise InputError.of(reference, "has no parameter to identify", expected, Code.MISSING)
+    lacking = {name: [key for key in ("min", "max", "std") if getattr(p, key) is None] for name, p in free.items()}
+    unstated = {name: keys for name, keys in lacking.items() if keys}
+    if unstated and not isinstance(definition, VehicleConfig):
+        expected = (
+            "expected ranges={name: ParameterRange(low, high, std)}, with std 0 and both bounds the value if that is "
+            "known, or a vehicle file that states them"
+        )
+        raise InputError.of(reference, f"states no min, max and std of {', '.join(unstated)}", expected, Code.MISSING)
+    if unstated:
+        assert isinstance(definition, VehicleConfig), "code is refused above"
+        raise InputError(
+            [
+                definition.source.diagnostic(
+                    ("parameters", name), f"has no {' and no '.join(keys)}", "expected bounds and prior",
+                    code=Code.MISSING,
+                )
+                for name, keys in unstated.items()
+            ]
+        )  # fmt: skip
 
 
 def drives_for(
-    definition: VehicleConfig,
+    definition: VehicleConfig | Vehicle,
     scenario: Scenario,
     recorder: Recorder,
     count: int,
@@ -249,7 +264,7 @@ def drives_for(
     from kraft.recording.experiment import coarse, planned_drives
     from kraft.sysid.information import known_before
 
-    record = definition.identification
+    record = definition.identification if isinstance(definition, VehicleConfig) else None
     noise = NOISE if record is None else Noise(record.noise.position, record.noise.yaw)
     known = known_before(definition, noise, scenario.sensing.rate_hz)
     ensure_compiled(known.parameters.vehicle, report, steps=True)

@@ -90,7 +90,7 @@ class _Inputs:
 
     scenario: Scenario
     vehicle: Vehicle
-    prior: VehicleConfig | None
+    prior: VehicleConfig | Vehicle | None
     files: Sequence[Path]
     manoeuvres: Sequence[Manoeuvre]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,9 +15,13 @@ from support.paths import ROOT
 from kraft.recording import experiment
 from kraft.recording.recorder import Recorder
 from kraft.scenario import load_scenario
+from kraft.sysid.information import known_before
+from kraft.sysid.interface import Noise
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
 from kraft_cli.work import record as request
+from kraft_cli.work.next_drives import load_prior
+from ompl_ext.vehicle import Vehicle
 
 FILES = {"commands.csv", "poses.csv", "truth.csv", "manifest.json"}
 
@@ -179,3 +184,42 @@ def test_a_model_without_priors_is_refused_at_its_parameters(folder: Path, capsy
     assert main(["record", "--for", "bare.yaml"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert re.search(r"bare.yaml:\d+:\d+: parameters.v_delta: has no std; ", line)
+
+
+SLED = """from ompl_ext import Footprint, Vehicle, cos, derivative, sin
+from ompl_ext.vehicle import ParameterRange
+
+
+@derivative
+def motion(x, u, p):
+    (_, _, theta, v), (push, turn), (gain, lag) = x, u, p
+    return v * cos(theta), v * sin(theta), turn * v, (gain * push - v) / lag
+
+
+SLED = Vehicle(
+    name="sled", derivative=motion, state=("x", "y", "theta", "v"), rest=("v",), top_speed=1.0,
+    controls={"push": (-0.5, 1.0), "turn": (-1.0, 1.0)}, parameters={"gain": 0.9, "lag": 0.4},
+    footprint=Footprint(0.4, 0.3),
+    ranges={"gain": ParameterRange(0.3, 2.0, 0.2), "lag": ParameterRange(0.1, 1.0, 0.1)},
+)
+"""
+
+
+def test_drives_are_planned_from_the_priors_that_code_states(folder: Path) -> None:
+    (folder / "sled.py").write_text(SLED, encoding="utf-8")
+    base = load_prior("sled.py:SLED", None)
+    assert isinstance(base, Vehicle)
+    narrow = load_prior("sled.py:SLED", replace(base, controls={"push": (0.0, 0.5), "turn": (-2.0, 2.0)}))
+    assert isinstance(narrow, Vehicle)
+    assert narrow.controls == {"push": (0.0, 0.5), "turn": (-1.0, 1.0)}
+    known = known_before(base, Noise(0.005, 0.02), 30.0)
+    assert known.parameters.std.tolist() == [0.2, 0.1]
+
+
+def test_code_that_states_some_priors_alone_is_refused_with_the_others(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "sled.py").write_text(SLED.replace(', "lag": ParameterRange(0.1, 1.0, 0.1)', ""), encoding="utf-8")
+    assert main(["record", "--vehicle", "sled.py:SLED", "--for", "sled.py:SLED"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("sled.py:SLED: states no min, max and std of lag; expected ranges=")
