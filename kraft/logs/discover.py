@@ -26,6 +26,8 @@ CSV: Final = (".csv", ".tsv", ".txt")
 BAGS: Final = (".bag", ".mcap", ".db3")
 COMPRESSED: Final = ".zstd"
 """Suffix of a compressed file in the folder of a bag."""
+RECORDED: Final = frozenset({"commands.csv", "poses.csv"})
+"""Files of a recorded run: one log, also if the vehicle has other controls than those that are looked for."""
 TRUTH: Final = "truth.csv"
 """Ground truth of a recorded run, which is never read."""
 GUARD: Final = "guard.csv"
@@ -267,7 +269,7 @@ def group_files(
 
     A file that is not recognised is a group of its own.
     """
-    stated = _stated(files, mapping)
+    stated = _stated(files, mapping) or _recorded(files)
     if stated:
         return [stated], []
     whole: list[Path] = []
@@ -285,6 +287,11 @@ def group_files(
         problems.append(unpaired(files[0].parent, *left))
         used.update(*left)
     return [*pairs, *((path,) for path in files if path not in used)], problems
+
+
+def _recorded(files: Sequence[Path]) -> tuple[Path, ...]:
+    """Files that are the run of kraft record, of whichever vehicle; none if they are something else."""
+    return tuple(sorted(files)) if {path.name for path in files} == RECORDED else ()
 
 
 def _stated(files: Sequence[Path], mapping: Mapping) -> tuple[Path, ...]:

@@ -16,6 +16,7 @@ from kraft.logs.reader import MismatchError, read_logs
 from kraft.sysid.command_units import SIDES
 from kraft.sysid.data import screen_logs
 from kraft.vehicles import CAR_CONTROLS
+from kraft_cli.work.recorded_controls import recorded_with_other_controls
 
 MessageSink = Callable[[str], None]
 """Receives one message."""
@@ -68,7 +69,14 @@ def read_sysid_logs(
         candidates, _ = discover(paths, controls, mapping)
         if not candidates:
             raise
+        if mapping_file is None and (other := recorded_with_other_controls(candidates, controls)):
+            raise InputError([other]) from None
         _report_left_out(error.diagnostics, "", warn, detail)
+        if any_command_unit and all(each.code == Code.MISSING for each in error.diagnostics):
+            warn(
+                "without --model, logs are those of a car (throttle, steering) or of a robot with two driven sides "
+                "(left, right); for a vehicle with other controls, name its model with --model FILE.py:NAME"
+            )
         raise _none_usable(len(candidates), error.diagnostics) from None
     long = screen_logs(found.logs)
     _report_logs(long.logs, info, detail)
