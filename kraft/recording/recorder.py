@@ -161,7 +161,7 @@ class Recorder:
         self._scenario, self._seed = scenario, seed
         self._model = model_of(vehicle)
         self._free_space = FreeSpace(scenario, vehicle)
-        self._world = world_of(scenario, vehicle, seed, visuals=False)
+        self._world = world_of(scenario, vehicle, seed, visuals=False, check_start=False)
         self._vehicle = RecordedVehicle.of(vehicle, true_robot(scenario, vehicle).robot)
 
     def described(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -192,10 +192,17 @@ class Recorder:
         if place is None:
             place = self._free_space.place(predicted(self._model, commanded), generator)
         if place.time < SHORTEST:
-            name = self._scenario.name
-            problem = f"has no free space for a run of {SHORTEST:g} s (manoeuvre {commanded.name!r})"
+            shape = self._model.vehicle.footprint
+            problem = (
+                f"has no free space for a run of {SHORTEST:g} s of {self._model.vehicle.name}, {shape.length:g} x "
+                f"{shape.width:g} m (manoeuvre {commanded.name!r})"
+            )
             expected = "expected more free floor, as in the scenario training"
-            raise InputError.of(name, problem, expected, Code.GEOMETRY)
+            if self._scenario.name == "training":
+                expected = (
+                    f"expected a scenario of your own with larger bounds and walls: copy {self._scenario.source.file}"
+                )
+            raise InputError.of(self._scenario.name, problem, expected, Code.GEOMETRY)
         self._world.reset(place.start, number)
         seed = int(generator.integers(2**62))
         plant = Plant(self._world, self._scenario, self._model.vehicle.controls, seed, COMMAND_RATE)

@@ -136,7 +136,9 @@ def true_robot(scenario: Scenario, vehicle: Vehicle) -> TrueRobot:
     return TrueRobot(robot, source if vehicle.file else scenario.source)
 
 
-def world_of(scenario: Scenario, vehicle: Vehicle, seed: int, visuals: bool = True) -> World | ModelWorld:
+def world_of(
+    scenario: Scenario, vehicle: Vehicle, seed: int, visuals: bool = True, check_start: bool = True
+) -> World | ModelWorld:
     """World of a trial at its start.
 
     Args:
@@ -144,6 +146,7 @@ def world_of(scenario: Scenario, vehicle: Vehicle, seed: int, visuals: bool = Tr
         vehicle: model that the robot plans with; it says what is true where the scenario does not.
         seed: seed of the trial.
         visuals: whether the world has what is only there to be seen.
+        check_start: whether the robot drives from the scenario's start, which then has to be free.
 
     Raises:
         InputError: if the robot cannot be simulated there, or takes other controls than the vehicle has.
@@ -156,7 +159,7 @@ def world_of(scenario: Scenario, vehicle: Vehicle, seed: int, visuals: bool = Tr
         world = _mjcf_world(scenario, vehicle, true, visuals)
     else:
         world = ModelWorld(scenario, _true_model(scenario, vehicle, true), true.robot.process_noise, seed)
-    if world.collision is not None:
+    if check_start and world.collision is not None:
         problem, expected = f"the robot touches {world.collision.obstacle!r}", "expected a start that is free"
         raise InputError([scenario.source.diagnostic("start", problem, expected, code=Code.GEOMETRY)])
     return world

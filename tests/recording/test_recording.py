@@ -15,10 +15,11 @@ from kraft.recording.area import PATH_STEP
 from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, Manoeuvre, ToControl, manoeuvre
 from kraft.recording.recorder import COMMAND_RATE, MARGIN, STOP, FreeSpace, Recorder, Recording, moved, write_recording
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
-from kraft.simulation.true_world import true_robot
+from kraft.simulation.true_world import true_robot, world_of
 from kraft.vehicles.load import RecordedVehicle, load_vehicle
 from kraft.vehicles.true_robot import Robot
 from ompl_ext.exact import ExactClearance
+from ompl_ext.vehicle import Footprint
 
 MUSHR = load_vehicle("mushr")
 TRAINING = load_scenario("training")
@@ -182,6 +183,22 @@ def test_a_scenario_without_room_is_refused() -> None:
     with pytest.raises(InputError) as caught:
         Recorder(tight, MUSHR, 0).record(1)
     assert [(each.file, each.code) for each in caught.value.diagnostics] == [("tight", Code.GEOMETRY)]
+
+
+def test_a_large_vehicle_records_though_it_has_no_room_at_the_start_that_is_not_used() -> None:
+    truck = replace(load_vehicle("unicycle2"), footprint=Footprint(5.0, 2.0))
+    with pytest.raises(InputError):  # of a trial
+        world_of(TRAINING, truck, 0, visuals=False)
+    assert Recorder(TRAINING, truck, 0).record(1).end > 2.0
+
+
+def test_a_vehicle_that_is_too_large_for_the_hall_is_told_its_size_and_the_file_to_copy() -> None:
+    huge = replace(load_vehicle("unicycle2"), footprint=Footprint(11.9, 11.0))
+    with pytest.raises(InputError) as caught:
+        Recorder(TRAINING, huge, 0).record(1)
+    (problem,) = caught.value.diagnostics
+    assert "11.9 x 11 m" in problem.problem
+    assert problem.expected.endswith("training.yaml")
 
 
 def test_a_path_is_moved_rigidly() -> None:
