@@ -9,6 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
+import numpy as np
+
+from kraft.driving.vehicle_model import VehicleModel, model_of
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
 from kraft.files import check_new_folder
 from kraft.planning.compilation import ensure_compiled
@@ -160,6 +163,8 @@ def record_logs(
         if text:
             report(f"warning: {text}")
     ensure_compiled(vehicle, report, steps=not is_car(vehicle))
+    if not files and (unused := unused_controls(model_of(vehicle))):
+        report(f"warning: {unused}")
     recorder = Recorder(scenario, vehicle, request.seed)
     if prior is not None:
         drives = drives_for(prior, scenario, recorder, request.count, request.seed, report)
@@ -175,6 +180,21 @@ def record_logs(
         if on_run is not None:
             on_run(done[-1])
     return Recording(tuple(done), _model_to_state(request, scenario, vehicle))
+
+
+def unused_controls(model: VehicleModel) -> str:
+    """What to say of controls that neither drive the vehicle forward nor turn it, which no manoeuvre uses; else empty.
+
+    Logs then do not show the parameters that they act on.
+    """
+    used = np.any([model.drive_control(*each) != model.rest for each in ((1, 0), (-1, 0), (1, 1), (1, -1))], axis=0)
+    names = [name for name, is_used in zip(model.vehicle.controls, used, strict=True) if not is_used]
+    if not names:
+        return ""
+    return (
+        f"no manoeuvre uses {', '.join(names)}, which neither drives {model.vehicle.name} forward nor turns it: record "
+        "drives of your own with --commands, or freeze the parameters that only it shows (kraft sysid --freeze)"
+    )
 
 
 def _model_to_state(request: RecordRequest, scenario: Scenario, vehicle: Vehicle) -> str | None:

@@ -12,6 +12,8 @@ import pytest
 from support.evaluation import places
 from support.paths import ROOT
 
+from kraft.config import bundled
+from kraft.driving.vehicle_model import model_of
 from kraft.recording import experiment
 from kraft.recording.recorder import Recorder
 from kraft.scenario import load_scenario
@@ -223,3 +225,18 @@ def test_code_that_states_some_priors_alone_is_refused_with_the_others(
     assert main(["record", "--vehicle", "sled.py:SLED", "--for", "sled.py:SLED"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("sled.py:SLED: states no min, max and std of lag; expected ranges=")
+
+
+def test_controls_that_no_manoeuvre_uses_are_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lifts = SLED.replace("(push, turn), (gain, lag)", "(push, turn, lift), (gain, lag)")
+    lifts = lifts.replace('"turn": (-1.0, 1.0)}', '"turn": (-1.0, 1.0), "lift": (0.0, 1.0)}')
+    (folder / "sled.py").write_text(lifts, encoding="utf-8")
+    assert main(["record", "--vehicle", "sled.py:SLED", "--runs", "1"]) == 0
+    assert "warning: no manoeuvre uses lift, which" in capsys.readouterr().err
+    assert main(["record", "--vehicle", "sled.py:SLED", "--commands", "logs", "--out", "again"]) == 0
+    assert "no manoeuvre uses" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", bundled.names("vehicle"))
+def test_manoeuvres_use_every_control_of_a_bundled_vehicle(name: str) -> None:
+    assert request.unused_controls(model_of(load_vehicle(name))) == ""
