@@ -68,7 +68,7 @@ truth: {tilt: {angle: 0.1, angle_deg: 5, uphill_deg: north}}
 """
 ROBOT = """name: mine
 transport: {kind: loopback}
-rate_hz: 5
+rate_hz: 15
 pose: {topic: /pose, type: geometry_msgs/msg/PoseStamped, rate_hz: 2}
 command: {topic: /drive, timeout: 0.1}
 limits: {speed: fast}
