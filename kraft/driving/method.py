@@ -355,10 +355,13 @@ class Method(StrictModel):
             problem = f"needs the uncertainty of the estimate, which the estimator {kind} does not state"
             yield refuse(problem, "expected `estimator: {kind: adaptive}`", ("planner", "bound"), Code.CONFLICT)
         heads_for_goal = controller.get("kind") in PREDICTIVE and controller.get("objective", "goal") == "goal"
-        if (planner.get("type") == "geodesic") != heads_for_goal:
-            problem = "is a path that no vehicle can track" if not heads_for_goal else "plans what nothing tracks"
-            expected = "expected `geodesic` together with a controller that has `objective: goal`"
-            yield refuse(problem, expected, ("planner", "type"), Code.CONFLICT)
+        if planner.get("type") == "geodesic" and not heads_for_goal:
+            expected = "expected a controller that has `objective: goal`"
+            yield refuse("is a path that no vehicle can track", expected, ("planner", "type"), Code.CONFLICT)
+        elif planner.get("type") != "geodesic" and heads_for_goal:
+            problem = "is `goal`: the controller tracks no plan" + ("" if "objective" in controller else ", by default")
+            expected = "expected `objective: plan`, with which it tracks the plan, or `planner: {type: geodesic}`"
+            yield refuse(problem, expected, ("controller", "objective"), Code.CONFLICT)
         yield from _too_slow(planner, controller)
 
     @property

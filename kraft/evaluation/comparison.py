@@ -98,8 +98,8 @@ def compare(one: str | Path, other: str | Path) -> Comparison:
     changed = _changed_entries(first, second)
     pairs = _pairs(first.rows, second.rows)
     if not pairs:
-        problem = f"has no trial in common with {folders[0]}"
-        expected = "expected an evaluation with the same entries, methods and seeds, or some of them"
+        problem = f"has no trial in common with {folders[0]}: {_difference(first.rows, second.rows)}"
+        expected = "expected an evaluation that shares entries, methods and seeds with it"
         raise InputError.of(str(folders[1]), problem, expected, Code.MISMATCH)
     names = [name for name in second.manifest.names if (name.entry, name.method) in pairs]
     rows = [
@@ -117,6 +117,16 @@ def compare(one: str | Path, other: str | Path) -> Comparison:
         (_alone(first.rows, second.rows), _alone(second.rows, first.rows)),
         (first.missing, second.missing),
     )
+
+
+def _difference(one: Mapping[Key, TrialRow], other: Mapping[Key, TrialRow]) -> str:
+    """Why two evaluations have no trial in common."""
+    if not one or not other:
+        return "one of them has no trial yet"
+    for k, name in enumerate(("entry", "method", "seed")):
+        if not {key[k] for key in one} & {key[k] for key in other}:
+            return f"no {name} is in both"
+    return "no entry has a method and a seed that are in both"
 
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:

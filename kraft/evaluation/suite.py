@@ -201,7 +201,8 @@ def repeated_names(noun: str, names: Iterable[str]) -> Iterator[Diagnostic]:
     for name, count in Counter(names).items():
         if count > 1:
             problem = f"the {noun} is given {count} times"
-            yield Diagnostic(name, problem, "expected each name once", code=Code.DUPLICATE)
+            expected = "expected each name once; of a file, the `name` in it counts"
+            yield Diagnostic(name, problem, expected, code=Code.DUPLICATE)
 
 
 def _suite_drafts(path: Path, problems: list[Diagnostic]) -> list[_Draft]:

@@ -39,7 +39,7 @@ class Link:
             return reason
         for_how_long = 0.0 if self._since is None else time.monotonic() - self._since
         untold = (
-            f"{trouble}: for {for_how_long:.1f} s nothing has reached the vehicle, which could not be told to brake; "
+            f"{trouble}, and did not come back within {for_how_long:.1f} s: the vehicle could not be told to brake; "
             f"its multiplexer stops it {self._timeout:g} s after the last command"
         )
         return untold if reason in ("", trouble) else f"{reason}; {untold}"

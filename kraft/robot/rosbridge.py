@@ -157,8 +157,8 @@ class RosbridgeClient:
                     used.send(text)
                 for _, content in contents:
                     used.send(_text(content, self._settings.ros))
-            except (OSError, self._library.exceptions.WebSocketException) as error:
-                self._lost(used, error)
+            except (OSError, self._library.exceptions.WebSocketException):
+                self._lost(used)
 
     def _receive(self) -> None:
         while not self._outbox.closed:
@@ -166,17 +166,17 @@ class RosbridgeClient:
                 for text in self._socket:
                     self._take(text, time.monotonic_ns())
                 raise OSError("closed by the server")
-            except (OSError, self._library.exceptions.WebSocketException) as error:
+            except (OSError, self._library.exceptions.WebSocketException):
                 if self._outbox.closed:
                     return
-                self._lost(self._socket, error)
+                self._lost(self._socket)
                 self._reconnect()
 
-    def _lost(self, used: Any, error: Exception) -> None:
+    def _lost(self, used: Any) -> None:
         """Note a loss of the connection, unless there is another one by now."""
         with self._lock:
             if used is self._socket and not self._outbox.closed:
-                self._problem = f"the connection to {self._settings.url} is lost ({error})"
+                self._problem = f"the connection to {self._settings.url} is lost"
 
     def _reconnect(self) -> None:
         while not self._outbox.closed:

@@ -88,7 +88,7 @@ def collision_cause(
         realtime: whether planning was limited by the clock.
     """
     if distance > UNCOVERED * footprint.width:
-        text = "a part of the robot touched the obstacle that its footprint does not cover, which was"
+        text = "a part of the robot that its footprint does not cover touched the obstacle; the footprint was"
         return Cause(kind=CauseKind.UNCOVERED, text=f"{text} {distance:.3f} m from every obstacle")
     last = steps[-1]
     k = max((k for k, cycle in enumerate(cycles) if cycle.time <= last.time + 1e-9), default=0)
@@ -109,7 +109,7 @@ def collision_cause(
     if (allowed is not None and deviation <= allowed) or cycle.clearance <= 0.0:
         kind = CauseKind.CONTINGENCY_TOO_LATE if contingency else CauseKind.UNSAFE_PLAN
         near = f"the prediction of cycle {cycle.number} comes within {max(cycle.clearance, 0.0):.3f} m of an obstacle"
-        return Cause(kind=kind, text=f"{near}, and the car was {deviation:.3f} m from it")
+        return Cause(kind=kind, text=f"{near}, and the car was {deviation:.3f} m from the predicted place")
     error = _error_of_guidance(cycle, steps, footprint, pose, feedback=feedback)
     text = f"the car was {deviation:.3f} m from the prediction"
     if allowed is not None:

@@ -229,9 +229,9 @@ controller: {kind: mppi}
     with pytest.raises(InputError) as caught:
         load_method(path)
     assert [(each.line, each.path) for each in caught.value.diagnostics] == [
-        (3, "planner.type"), (5, "planner.lead"), (6, "planner.max_iterations"), (7, "planner.first_max_iterations"),
+        (5, "planner.lead"), (6, "planner.max_iterations"), (7, "planner.first_max_iterations"),
         (8, "planner.bound"), (8, "planner.bound"), (8, "planner.bound.level"), (8, "planner.bound.limits"),
-        (8, "planner.bound.shares[1]"),
+        (8, "planner.bound.shares[1]"), (11, "controller.objective"),
     ]  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import pytest
 from support import fake_trials
 from support.evaluation import StoppingObserver, refused
 
-from kraft.errors import Code
+from kraft.errors import Code, InputError
 from kraft.evaluation import compare, evaluate
 from kraft.evaluation.comparison import Comparison, PairedRow
 from kraft.evaluation.comparison_table import comparison_tables, remarks
@@ -62,6 +62,24 @@ def test_of_many_rows_those_are_counted_whose_drives_are_all_the_same(
     same = compare(tmp_path / "a", tmp_path / "a")
     assert [table.title for table in comparison_tables(same)] == ["all entries"]
     assert next(remarks(same)).startswith("2 rows whose drives are all the same have")
+
+
+@pytest.mark.parametrize(
+    ("other", "why"),
+    [
+        ({"scenarios": ["boxes"]}, "no entry is in both"),
+        ({"methods": ["mppi"]}, "no method is in both"),
+        ({"seed": 50}, "no seed is in both"),
+    ],
+)
+def test_evaluations_without_a_common_trial_say_what_they_do_not_share(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: dict[str, Any], why: str
+) -> None:
+    a = run(monkeypatch, tmp_path / "a", fake_trials.quick, 2)
+    b = run(monkeypatch, tmp_path / "b", fake_trials.quick, 2, **other)
+    with pytest.raises(InputError) as caught:
+        compare(a, b)
+    assert [each.problem for each in caught.value.diagnostics] == [f"has no trial in common with {a}: {why}"]
 
 
 def of_entry(comparison: Comparison, entry: str) -> PairedRow:

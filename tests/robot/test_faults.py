@@ -93,8 +93,8 @@ def test_a_connection_that_is_lost_is_the_reason_with_how_long_and_what_the_car_
         result = rig.process.result(60)
         assert (rig.process.returncode, result["outcome"]) == (1, "stopped")
         reason = re.fullmatch(
-            rf"the connection to {rig.url} is lost \(.+\): for ([\d.]+) s nothing has reached the vehicle, which could "
-            r"not be told to brake; its multiplexer stops it 0.2 s after the last command",
+            rf"the connection to {rig.url} is lost, and did not come back within ([\d.]+) s: the vehicle could not be "
+            r"told to brake; its multiplexer stops it 0.2 s after the last command",
             result["reason"],
         )
         assert reason is not None, result["reason"]

@@ -20,7 +20,7 @@ def test_a_loss_is_told_with_its_duration_and_with_what_the_vehicle_was_told(mon
     now = 53.0
     assert link.look() == ""
     lost = (
-        "the connection is lost: for 3.0 s nothing has reached the vehicle, which could not be told to brake; "
+        "the connection is lost, and did not come back within 3.0 s: the vehicle could not be told to brake; "
         "its multiplexer stops it 0.2 s after the last command"
     )
     assert link.explained("the connection is lost") == link.explained("") == lost

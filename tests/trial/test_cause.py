@@ -125,7 +125,7 @@ def test_a_contact_beyond_the_footprint_is_that_of_a_part_that_it_does_not_cover
     cycles, ticks = [cycle(0), cycle(1, delivered=False)], steps(1.9, aside=0.5, wrong=0.4)
     found = cause_of(cycles, ticks, distance=0.253)
     assert found.kind == CauseKind.UNCOVERED
-    assert found.text.endswith("its footprint does not cover, which was 0.253 m from every obstacle")
+    assert found.text.endswith("touched the obstacle; the footprint was 0.253 m from every obstacle")
     assert collided(cycles, ticks, distance=0.01) == CauseKind.MESSAGE_LOST
 
 
