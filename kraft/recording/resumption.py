@@ -8,16 +8,19 @@ import re
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.errors import Code, Diagnostic, InputError
+from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.provenance import difference_text, differences
 from kraft.recording.manoeuvres import Manoeuvre
 from kraft.recording.recorder import FILES, KEYS, SCHEMA
 
 _RUN: Final = re.compile(r"run_(\d{2,})")
 _PART: Final = re.compile(r"\.run_\d{2,}\..*\.part")
+COUNTED: Final = ("commands", "poses")
+"""Keys of a manifest that state the number of rows of a file of that name."""
 OTHER: Final = "expected no change, or another folder"
 
 
@@ -128,7 +131,8 @@ def _manifest(folder: Path, number: int) -> dict[str, Any]:
     """Manifest of a run.
 
     Raises:
-        InputError: if it or another file of the run is missing or damaged.
+        InputError: if it is missing or damaged, another file of the run is missing, or the run has other numbers of
+            commands or poses than it says.
     """
     expected = "expected the folder removed; its run is then driven again"
     missing = [name for name in FILES if not (folder / name).is_file()]
@@ -143,4 +147,22 @@ def _manifest(folder: Path, number: int) -> dict[str, Any]:
         raise InputError.of(str(path), "is no manifest of kraft record", expected, Code.SYNTAX)
     if content["run"] != number or not isinstance(content["arguments"], dict):
         raise InputError.of(str(path), f"is not that of run {number}", expected, Code.MISMATCH)
+    problems = Problems()
+    for counted in COUNTED:
+        problems.of(partial(_check_rows, folder / f"{counted}.csv", content[counted], expected))
+    problems.check()
     return content
+
+
+def _check_rows(path: Path, stated: object, expected: str) -> None:
+    """Check that a file has as many rows below its heading as the manifest says.
+
+    Raises:
+        InputError: if it has another number of rows, or cannot be read.
+    """
+    try:
+        rows = max(0, len(path.read_bytes().splitlines()) - 1)
+    except OSError as error:
+        raise InputError.of(str(path), f"is damaged: {error}", expected, Code.SYNTAX) from None
+    if rows != stated:
+        raise InputError.of(str(path), f"has {rows} rows, not {stated} as its manifest says", expected, Code.MISMATCH)

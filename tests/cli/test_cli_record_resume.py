@@ -167,6 +167,27 @@ def test_a_damaged_run_is_refused_and_nothing_is_driven(folder: Path, capsys: py
     assert contents(folder) == before
 
 
+def test_a_run_with_other_numbers_of_rows_than_its_manifest_says_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["record", "--runs", "1"]) == 0
+    commands, poses = Path("logs/run_01/commands.csv"), Path("logs/run_01/poses.csv")
+    stated = json.loads(Path("logs/run_01/manifest.json").read_text())
+    lines = commands.read_text().splitlines(keepends=True)
+    commands.write_text("".join([*lines, lines[-1]]))
+    poses.write_text("")
+    before = contents(folder)
+    capsys.readouterr()
+    assert main(["record", "--resume"]) == 2
+    expected = "expected the folder removed; its run is then driven again"
+    rows = stated["commands"]
+    assert capsys.readouterr().err.splitlines() == [
+        f"{commands}: has {rows + 1} rows, not {rows} as its manifest says; {expected}",
+        f"{poses}: has 0 rows, not {stated['poses']} as its manifest says; {expected}",
+    ]
+    assert contents(folder) == before
+
+
 def test_what_cannot_be_removed_is_reported_before_anything_is_driven(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
