@@ -10,7 +10,7 @@ import typer
 from kraft_cli import completion
 from kraft_cli.commands.options import Json
 from kraft_cli.exit_status import ExitStatus
-from kraft_cli.signals import status_of
+from kraft_cli.signals import handled, status_of
 from kraft_cli.terminal import Terminal
 
 if TYPE_CHECKING:
@@ -91,10 +91,12 @@ def record(
     try:
         model = record_logs(request, terminal.info, ended).model
     except KeyboardInterrupt as error:
-        kept = " before the first run ended"
-        if done:
-            kept = f"; {len(done)} of {counted(done[-1].of, 'run')} kept in {out}; to resume: {resume_command(request)}"
-        terminal.problem(f"stopped{kept}")
+        with handled(lambda _: None):  # another signal would end the command before it says what is kept
+            kept = " before the first run ended"
+            if done:
+                runs_kept = f"{len(done)} of {counted(done[-1].of, 'run')} kept in {out}"
+                kept = f"; {runs_kept}; to resume: {resume_command(request)}"
+            terminal.problem(f"stopped{kept}")
         return status_of(error)
     if json:
         terminal.json("kraft.record/1", _content(request.scenario, request.seed, out, done))

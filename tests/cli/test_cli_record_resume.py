@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
+import signal
 from pathlib import Path
 
 import pytest
@@ -60,6 +62,23 @@ def test_a_resumed_recording_has_the_bytes_of_an_uninterrupted_one(
     assert not left.exists()
     for number in (1, 2, 3):
         assert Path(f"logs_{number:02d}.mcap").read_bytes() == Path(f"whole_{number:02d}.mcap").read_bytes()
+
+
+def test_a_second_interrupt_does_not_hide_what_is_kept(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = request.resume_command
+
+    def interrupting(of: request.RecordRequest) -> str:
+        os.kill(os.getpid(), signal.SIGINT)
+        return command(of)
+
+    monkeypatch.setattr(request, "resume_command", interrupting)
+    before = signal.getsignal(signal.SIGINT)
+    interrupted(monkeypatch, 2, "--runs", "3")
+    line = "stopped; 1 of 3 runs kept in logs; to resume: kraft record --out logs --resume"
+    assert capsys.readouterr().err.splitlines()[-1] == line
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_recording_that_is_complete_is_not_driven_again(
