@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from kraft_cli.exit_status import ExitStatus
@@ -48,6 +49,20 @@ def names(kind: bundled.Kind, *others: str) -> Completer:
     return matching
 
 
+def names_or_files(*kinds: bundled.Kind) -> Completer:
+    """Completer of the names of bundled files of several kinds, and of the files beside them in the working directory.
+
+    Without a name there are no words: the shell then completes files itself, also in other folders.
+    """
+
+    def matching(incomplete: str) -> list[str]:
+        found = [name for kind in kinds for name in names(kind)(incomplete)]
+        files = [path.name + "/" * path.is_dir() for path in sorted(Path().glob("[!.]*"))] if found else []
+        return list(dict.fromkeys([*found, *words(*files)(incomplete)]))
+
+    return matching
+
+
 def comma_separated(completer: Completer) -> Completer:
     """Completer of the last one of several words with commas between them; none is proposed twice."""
 
@@ -70,3 +85,6 @@ methods: Final = names("method")
 vehicles: Final = names("vehicle")
 suites: Final = names("suite")
 robots: Final = names("robot")
+checked: Final = names_or_files("scenario", "method", "vehicle", "robot", "suite")
+worlds: Final = words("corridor", "rooms", "rows", "posts", "maze", "clutter", "track", "mixed")
+"""Kinds of random worlds: those of `kraft.worlds.generate`, which takes long to import."""

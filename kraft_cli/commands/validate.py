@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from kraft_cli import completion
 from kraft_cli.boundary import explain
 from kraft_cli.commands.options import Json
 from kraft_cli.exit_status import ExitStatus
@@ -20,7 +21,11 @@ def validate(
     context: typer.Context,
     files: Annotated[
         list[str],
-        typer.Argument(metavar="FILE", help="Scenario, vehicle, method, suite, map, mapping, plan or robot files."),
+        typer.Argument(
+            metavar="FILE",
+            help="Scenario, vehicle, method, suite, map, mapping, plan or robot files.",
+            autocompletion=completion.checked,
+        ),
     ],
     json: Json = False,
 ) -> ExitStatus:

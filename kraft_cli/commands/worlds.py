@@ -82,7 +82,9 @@ def generate(
     kind: Annotated[
         str,
         typer.Argument(
-            metavar="KIND", help="corridor, rooms, rows, posts, maze, clutter, track, or mixed for all of them."
+            metavar="KIND",
+            help="corridor, rooms, rows, posts, maze, clutter, track, or mixed for all of them.",
+            autocompletion=completion.worlds,
         ),
     ],
     seed: Seed = 0,

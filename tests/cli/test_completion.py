@@ -13,6 +13,7 @@ import pytest
 
 from kraft.config import bundled
 from kraft.scenario.planners import PLANNERS
+from kraft.worlds.generate import KINDS, MIXED
 from kraft_cli.commands.listing import THINGS
 from kraft_cli.completion import VARIABLE, comma_separated, names, words
 from kraft_cli.main import main
@@ -49,6 +50,9 @@ def completed(line: str, patch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
         ("kraft eval --methods kraft,kraft-", ["kraft,kraft-mppi", "kraft,kraft-nmpc"]),
         ("kraft eval --methods kraft-mppi,kraft-", ["kraft-mppi,kraft-nmpc"]),
         ("kraft record trainin", ["training", "training-real"]),
+        ("kraft generate c", ["corridor", "clutter"]),
+        ("kraft generate ", [*KINDS, MIXED]),
+        ("kraft validate pap", ["paper"]),
         ("kraft run nothing-like-it", []),
         ("kraft report resul", []),  # the shell completes files then
     ],
@@ -80,7 +84,34 @@ def test_every_name_that_a_command_takes_is_proposed(
     assert completed(line, monkeypatch, capsys) == list(bundled.names(kind))
 
 
-@pytest.mark.parametrize("line", ["kraft ", "kraft run ", "kraft eval --methods kraft,", "kraft plan turns --planner "])
+@pytest.mark.usefixtures("folder")
+def test_names_and_files_that_can_be_checked_are_proposed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("mushroom.yaml", "other.yaml", ".mushr-hidden"):
+        Path(name).touch()
+    Path("mushr-maps").mkdir()
+    proposed = completed("kraft validate mush", monkeypatch, capsys)
+    assert len(proposed) == len(set(proposed))
+    bundled_names = {name for name in bundled.names("vehicle") + bundled.names("robot") if name.startswith("mush")}
+    assert bundled_names | {"mushroom.yaml", "mushr-maps/"} == set(proposed)
+    kinds: tuple[bundled.Kind, ...] = ("scenario", "method", "vehicle", "robot", "suite")
+    everything = set(completed("kraft validate ", monkeypatch, capsys))
+    assert all(set(bundled.names(kind)) < everything for kind in kinds)
+    assert completed("kraft validate othe", monkeypatch, capsys) == []  # the shell completes files then
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "kraft ",
+        "kraft run ",
+        "kraft generate ",
+        "kraft validate ",
+        "kraft eval --methods kraft,",
+        "kraft plan turns --planner ",
+    ],
+)
 def test_the_shell_waits_for_no_heavy_module(line: str) -> None:
     code = (
         "import sys; from kraft_cli.main import main; status = main([]); "
