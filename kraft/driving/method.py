@@ -359,7 +359,7 @@ class Method(StrictModel):
             expected = "expected a controller that has `objective: goal`"
             yield refuse("is a path that no vehicle can track", expected, ("planner", "type"), Code.CONFLICT)
         elif planner.get("type") != "geodesic" and heads_for_goal:
-            problem = "is `goal`: the controller tracks no plan" + ("" if "objective" in controller else ", by default")
+            problem = "is `goal`: the controller tracks no plan"
             expected = "expected `objective: plan`, with which it tracks the plan, or `planner: {type: geodesic}`"
             yield refuse(problem, expected, ("controller", "objective"), Code.CONFLICT)
         yield from _too_slow(planner, controller)

@@ -352,7 +352,7 @@ def test_contingencies_are_switched_off_by_one_key(tmp_path: Path) -> None:
     ("old", "new", "place"),
     [
         ("kind: mppi", "kind: kinodynamic", "planner.type"),
-        ("type: geodesic, ", "", "planner.type"),
+        ("type: geodesic, ", "", "controller.objective"),
         ("kind: mppi", "kind: mppi, objective: plan", "planner.type"),
         ("mode: replanning", "mode: one-shot", "planner.type"),
         ("kind: mppi", "kind: mppi, rollouts: 1", "controller.rollouts"),
