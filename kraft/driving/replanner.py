@@ -120,7 +120,7 @@ class Replanner:
         self._contingency: Reference | None = None
         self._decision: Decision | None = None
         self._in_transit: list[tuple[float, Commitment]] = []
-        self._estimated_root: Floats = np.empty(0)  # predicted start of the cycle before it was given room
+        self._moved_from: Floats | None = None  # predicted start of the cycle, if it was moved to where there is room
 
     def set_delay(self, delay: float) -> None:
         """Set the delay from the replanner to the effect of a command (s), as far as it is known now."""
@@ -303,8 +303,10 @@ class Replanner:
         self._in_transit = [sent for sent in self._in_transit if sent[0] > time + 1e-9]
         for arrives, following in self._in_transit:
             state, time, current = self._predict(state, time, arrives, current).final_state, arrives, following
-        self._estimated_root = self._predict(state, time, cycle_start, current).final_state
-        return self._with_room(self._estimated_root), current
+        predicted = self._predict(state, time, cycle_start, current).final_state
+        root = self._with_room(predicted)
+        self._moved_from = None if root is predicted else predicted
+        return root, current
 
     def _with_room(self, root: Floats) -> Floats:
         """Predicted start of a cycle; that of a vehicle at rest has a little room, or as much as there is nearby."""
@@ -343,8 +345,8 @@ class Replanner:
             return Decision(reference, predicted, "", plan)
         if self._proposer.loss is not None and self._proposer.loss.slack(predicted) < 0.0:
             return NO_ROOM
-        if root is not self._estimated_root:
-            refused = refusal(self.dirt, self._estimated_root, root, plan, predicted.states)
+        if self._moved_from is not None:
+            refused = refusal(self.dirt, self._moved_from, root, plan, predicted.states)
             if refused is not None:
                 return refused
         stop, stopping = self._contingency_after(reference, predicted.final_state, cycle_start)

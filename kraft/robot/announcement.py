@@ -78,8 +78,10 @@ class Announced:
 
 def _content(task: Task, vehicle: Vehicle) -> dict[str, Any]:
     """Announcement: what a planner is told of a scene, and length and width of the vehicle (m)."""
-    obstacles = [(_label(each, i), plain_hash(replace(each, name=None))) for i, each in enumerate(task.obstacles)]
-    corners = vehicle.footprint.corners()
+    obstacles = [
+        (f"{label} {_place(each)}", plain_hash(replace(each, name=None)))
+        for label, each in zip(task.obstacle_labels, task.obstacles, strict=True)
+    ]
     return {
         "schema": SCHEMA,
         "name": task.name,
@@ -87,7 +89,7 @@ def _content(task: Task, vehicle: Vehicle) -> dict[str, Any]:
         "goal": _goal(task.goal),
         "obstacles": [list(each) for each in obstacles],
         "vehicle": vehicle.name,
-        "size": (corners.max(axis=0) - corners.min(axis=0)).tolist(),
+        "size": [vehicle.footprint.length, vehicle.footprint.width],
     }
 
 
@@ -101,13 +103,12 @@ def _goal(goal: Goal) -> dict[str, Any]:
     }
 
 
-def _label(obstacle: Obstacle, index: int) -> str:
-    """What messages call an obstacle: its name, or its place in the file, and where it is."""
-    name = obstacle.name or f"obstacles[{index}]"
+def _place(obstacle: Obstacle) -> str:
+    """Where messages say that an obstacle is."""
     if isinstance(obstacle, OccupancyMap):
-        return f"{name} (a map)"
+        return "(a map)"
     x, y = obstacle.vertices[0] if isinstance(obstacle, Polygon) else obstacle.center
-    return f"{name} at ({x:.4g}, {y:.4g})"
+    return f"at ({x:.4g}, {y:.4g})"
 
 
 def _differences(there: dict[str, Any], here: dict[str, Any]) -> list[str]:

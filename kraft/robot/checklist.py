@@ -231,9 +231,8 @@ def _check_place(pose: Pose | None, task: Task, vehicle: Vehicle) -> list[Check]
 
 
 def _check_model(vehicle: Vehicle, *, is_simulated: bool) -> Check:
-    corners = vehicle.footprint.corners()
-    length, width = (corners.max(axis=0) - corners.min(axis=0)).tolist()
-    model = f"{vehicle.name}, {length:.2f} m long and {width:.2f} m wide,"
+    shape = vehicle.footprint
+    model = f"{vehicle.name}, {shape.length:.2f} m long and {shape.width:.2f} m wide,"
     if is_simulated:
         return Check("model", "ok", f"{model} for a simulated robot")
     if _record(vehicle) is not None:

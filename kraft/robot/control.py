@@ -166,10 +166,8 @@ class Control:
         self._planned: deque[Planned] = deque()
         self._observations: list[Observation] = []
         self._commands: list[tuple[float, Floats, Floats]] = []
-        self._arrival, self._asked = (
-            Arrival(spec.task.goal, spec.vehicle),
-            0,
-        )  # changes that the planner has not answered
+        self._arrival = Arrival(spec.task.goal, spec.vehicle)
+        self._asked = 0  # number of changes that the planner has not answered
         self._link = Link(transport, spec.robot.command.timeout)
         self._ending: tuple[str, str] | None = None
         self._stood = 0.0  # time for which the vehicle has stood at the end of a contingency, s

@@ -72,6 +72,11 @@ class Task:
     planning: Planning = field(default_factory=Planning)
     source: Source = field(default_factory=Source, compare=False, repr=False)
 
+    @property
+    def obstacle_labels(self) -> list[str]:
+        """What messages and pages call each obstacle: its name, or its place in the file."""
+        return [obstacle.name or f"obstacles[{i}]" for i, obstacle in enumerate(self.obstacles)]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario(Task):
@@ -80,11 +85,6 @@ class Scenario(Task):
     truth: Truth = field(default_factory=Truth)
     sensing: Sensing = field(default_factory=Sensing)
     trial: Trial = field(default_factory=Trial)
-
-    @property
-    def obstacle_labels(self) -> list[str]:
-        """What messages and pages call each obstacle: its name, or its place in the file."""
-        return [obstacle.name or f"obstacles[{i}]" for i, obstacle in enumerate(self.obstacles)]
 
     def task(self) -> Task:
         """Part of the scenario that the robot knows."""

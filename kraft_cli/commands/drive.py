@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from kraft_cli import completion
-from kraft_cli.commands.options import Json, PlanningModel, ScenarioName, Set
+from kraft_cli.commands.options import Json, PlanningModel, ScenarioName, Set, vehicle_option
 from kraft_cli.commands.run import Video, View, driven_status
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
@@ -26,13 +26,7 @@ Method = Annotated[
 PlannerSeed = Annotated[int, typer.Option(metavar="N", help="Seed of the planner; the drive depends on the clock too.")]
 WorldSeed = Annotated[int, typer.Option(metavar="N", help="Seed of the camera's errors and of the motion's noise.")]
 SimulatedVehicle = Annotated[
-    str | None,
-    typer.Option(
-        "--vehicle",
-        metavar="NAME|FILE",
-        help="Vehicle whose true robot is simulated, instead of the scenario's.",
-        autocompletion=completion.vehicles,
-    ),
+    str | None, vehicle_option("Vehicle whose true robot is simulated, instead of the scenario's.")
 ]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write the drive into a new folder, as it is driven.")]
 Bag = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the drive as ROS 2 messages: FILE.mcap.")]

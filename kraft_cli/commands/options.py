@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from kraft_cli import completion
 from kraft_cli.terminal import Terminal
+
+
+def vehicle_option(meaning: str) -> Any:
+    """Option that names a vehicle; `meaning` is what for."""
+    return typer.Option("--vehicle", metavar="NAME|FILE", help=meaning, autocompletion=completion.vehicles)
+
 
 ScenarioName = Annotated[
     str,
@@ -15,15 +21,7 @@ ScenarioName = Annotated[
         metavar="SCENARIO", help="A bundled name or the path of a file.", autocompletion=completion.scenarios
     ),
 ]
-PlanningModel = Annotated[
-    str | None,
-    typer.Option(
-        "--vehicle",
-        metavar="NAME|FILE",
-        help="Model to plan with, instead of the method's and the scenario's.",
-        autocompletion=completion.vehicles,
-    ),
-]
+PlanningModel = Annotated[str | None, vehicle_option("Model to plan with, instead of the method's and the scenario's.")]
 Set = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace the value of a key of the scenario.")
 ]

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from kraft_cli import completion
-from kraft_cli.commands.options import Json, ScenarioName, Set
+from kraft_cli.commands.options import Json, ScenarioName, Set, vehicle_option
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -18,15 +18,7 @@ Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the random generat
 Planner = Annotated[
     str | None, typer.Option(metavar="NAME", help="Planner (kraft list planners).", autocompletion=completion.planners)
 ]
-VehicleName = Annotated[
-    str | None,
-    typer.Option(
-        "--vehicle",
-        metavar="NAME|FILE",
-        help="Vehicle: a name, a YAML file, or code.",
-        autocompletion=completion.vehicles,
-    ),
-]
+VehicleName = Annotated[str | None, vehicle_option("Vehicle: a name, a YAML file, or code.")]
 Parameters = Annotated[
     list[str] | None, typer.Option("--param", metavar="K=V", help="Replace a parameter of the vehicle.")
 ]

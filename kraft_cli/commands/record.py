@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kraft_cli import completion
-from kraft_cli.commands.options import Json
+from kraft_cli.commands.options import Json, vehicle_option
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.signals import handled, status_of
 from kraft_cli.terminal import Terminal
@@ -23,15 +23,7 @@ Scenario = Annotated[
     ),
 ]
 Out = Annotated[Path, typer.Option(metavar="LOGS", help="New folder for the logs.")]
-VehicleName = Annotated[
-    str | None,
-    typer.Option(
-        "--vehicle",
-        metavar="NAME|FILE",
-        help="Vehicle to drive, instead of the scenario's.",
-        autocompletion=completion.vehicles,
-    ),
-]
+VehicleName = Annotated[str | None, vehicle_option("Vehicle to drive, instead of the scenario's.")]
 Runs = Annotated[int | None, typer.Option(metavar="N", help="Number of runs, 20 s each: by default 10, with --for 3.")]
 For = Annotated[
     str | None,

@@ -9,7 +9,7 @@ import typer
 
 from kraft.text import counted
 from kraft_cli import completion
-from kraft_cli.commands.options import Json
+from kraft_cli.commands.options import Json, vehicle_option
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -24,15 +24,7 @@ Start = Annotated[
 Goal = Annotated[
     str | None, typer.Option(metavar="X,Y[,RADIUS]", help="Goal in m: required for a map, else the source's.")
 ]
-VehicleName = Annotated[
-    str | None,
-    typer.Option(
-        "--vehicle",
-        metavar="NAME|FILE",
-        help="Vehicle of the scenarios, instead of the usual one.",
-        autocompletion=completion.vehicles,
-    ),
-]
+VehicleName = Annotated[str | None, vehicle_option("Vehicle of the scenarios, instead of the usual one.")]
 Skip = Annotated[bool, typer.Option("--skip", help="Leave out shapes that cannot be obstacles.")]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="New folder for the scenarios and suite.yaml.")]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the first world; the next ones follow.")]
