@@ -42,10 +42,10 @@ def finished_runs(folder: Path) -> dict[int, FinishedRun]:
     """Runs in a folder by their number.  A run appears in it whole; what a kill left of another one does not count.
 
     Raises:
-        InputError: if there is no such folder; with every run that is damaged.
+        InputError: if there is no such folder, or it has other files and no run; with every run that is damaged.
     """
+    expected = "expected the folder of an interrupted kraft record"
     if not folder.is_dir():
-        expected = "expected the folder of an interrupted kraft record"
         raise InputError.of(str(folder), "there is no such folder", expected, Code.NOT_FOUND)
     runs: dict[int, FinishedRun] = {}
     problems: list[Diagnostic] = []
@@ -59,6 +59,9 @@ def finished_runs(folder: Path) -> dict[int, FinishedRun]:
             problems += error.diagnostics
     if problems:
         raise InputError(problems)
+    others = sorted(each.name for each in folder.iterdir() if not _PART.fullmatch(each.name))
+    if others and not runs:
+        raise InputError.of(str(folder), f"has no run, but other files, such as {others[0]}", expected, Code.MISMATCH)
     return runs
 
 

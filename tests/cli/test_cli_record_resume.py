@@ -247,3 +247,11 @@ def test_an_existing_folder_is_refused_with_the_option_that_continues(capsys: py
     assert main(["record", "--runs", "1"]) == 2
     assert capsys.readouterr().err == f"logs: is there already; {request.NEW}\n"
     assert "--resume" in request.NEW
+
+
+def test_a_folder_of_something_else_is_not_recorded_into(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "trials.jsonl").write_text("{}\n")
+    assert main(["record", "--out", str(tmp_path), "--resume", "-q"]) == 2
+    expected = "has no run, but other files, such as trials.jsonl; expected the folder of an interrupted kraft record"
+    assert capfd.readouterr().err == f"{tmp_path}: {expected}\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["trials.jsonl"]
