@@ -42,6 +42,7 @@ class Graph(NamedTuple):
     pose_information: Floats  # (3,)
     process: Floats  # (nx,) variance per second
     control_variance: Floats  # (nu,)
+    start: Floats  # (nx,) information on the first state of each chain, about where it is
 
 
 class Eliminated(NamedTuple):
@@ -249,6 +250,8 @@ def _eliminate(g: Graph, damping: float, out: Eliminated) -> None:
     out.gradient[:] = 0.0
     for chain in range(len(g.log)):
         log = g.log[chain]
+        for a in range(len(g.start)):
+            out.diagonal[g.first[chain], a, a] += g.start[a]
         for s in range(g.first[chain], g.first[chain + 1] - 1):
             i = s - chain  # each chain before has one state more than steps
             fold_control(i, g, out)

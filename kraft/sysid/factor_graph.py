@@ -90,6 +90,7 @@ class FastGraph:
             pose_information=noise.pose_sigmas**-2.0,
             process=noise.process**2,
             control_variance=noise.control**2,
+            start=np.zeros(len(noise.process)),
         )
         return p.cost_of(self._graph.dynamics, self._graph.control, distance, point.rho)
 
@@ -99,16 +100,18 @@ class FastGraph:
         information, gradient = self._out.information.copy(), self._out.gradient.copy()
         return RhoFactors.with_priors(information, gradient, self.problem, self.point.rho)
 
-    def information_with(self, effects: Floats) -> Floats:
+    def information_with(self, effects: Floats, start: Floats) -> Floats:
         """Information (logs, np + m, np + m) on rho and on m errors of the controls.
 
-        `effects` (N, nu, m) are those of the errors on the controls of each step.
+        `effects` (N, nu, m) are those of the errors on the controls of each step, `start` (nx,) is the information on
+        the first state of each chain.
         """
         size, m = len(self.point.rho), effects.shape[2]
         none = np.zeros((len(self._graph.pose), 3, m))
         graph = self._graph._replace(
             command=np.concatenate([self._graph.command, effects], axis=2),
             pose_rho=np.concatenate([self._graph.pose_rho, none], axis=2),
+            start=start,
         )
         out = self._allocated(size + m)
         eliminate(graph, 0.0, out)

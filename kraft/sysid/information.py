@@ -43,6 +43,8 @@ LEVELS = np.linspace(0.0, 1.0, 5)
 """Commands, as shares of their range, at which the errors of the model are independent ..."""
 SPEEDS = np.array([0.0, 0.5, 1.0])
 """... and speeds, as shares of the top speed."""
+REST_STD = 0.05
+"""Standard deviation of speeds and angles of the wheels of a vehicle at rest, m/s, rad and rad/s."""
 
 
 class Commands(Protocol):
@@ -150,7 +152,7 @@ class Knowledge:
         graph.linearise(point)
         effects = _effects(problem, point)
         kept = np.concatenate([self.parameters.free, np.ones(effects.shape[2], dtype=bool)])
-        information = graph.information_with(effects)[:, kept][:, :, kept]
+        information = graph.information_with(effects, self._start())[:, kept][:, :, kept]
         shown = problem.observation.predict(point.states, point.rho)
         first, most = problem.chains.first, int(np.diff(problem.chains.first).max())
         at = np.minimum(first[:-1, None] + np.arange(most), first[1:, None] - 1)
@@ -187,6 +189,16 @@ class Knowledge:
         found = np.concatenate(rows)[:, self.parameters.free]
         weight: Matrix = found.T @ found / (len(begin) * len(HORIZONS))
         return weight
+
+    def _start(self) -> Floats:
+        """Information (nx,) on the first state of a drive: at rest, at a pose that is not known.
+
+        Without it the angle of wheels that nobody has seen is unknown without limits.  A lag forgets that angle, so
+        that its information grows from nothing by the same factor in every step, and from what rounding leaves of it,
+        which may be negative.
+        """
+        vehicle = self.parameters.vehicle
+        return np.array([0.0 if name in ("x", "y", "theta") else REST_STD**-2.0 for name in vehicle.state])
 
     def _simulated(self, drives: Sequence[Commands]) -> tuple[Problem, Point]:
         segments = [self._segment(i, drive) for i, drive in enumerate(drives)]

@@ -31,6 +31,7 @@ from kraft.sysid.selection import (
 from kraft.sysid.structure import HORIZON_SHARES, StructureSearch
 from kraft.sysid.structure_choice import CLEARLY_WORSE, NEGLIGIBLE_LOSS, Structure, best_of, chosen, is_near
 from kraft.vehicles.config import VehicleConfig
+from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 
 BOTH_SIDES = ("phi_diff", "asymmetry", "yaw_offset")
@@ -92,12 +93,15 @@ def identify_terms(
     return ModelChoice(vehicle, replace(identification, trials=rows, notes=(*identification.notes, *notes)))
 
 
-def error_of_all_terms(
+def errors_of_all_terms(
     vehicle: VehicleConfig, logs: Sequence[Log], settings: Settings, on_iteration: OnIteration = ignore_iteration
-) -> float:
-    """Error of a model with all of its terms on logs that it was not fitted to, m/s; as for `identify_terms`."""
+) -> Floats:
+    """Errors (folds,) of a model with all of its terms on logs that it was not fitted to, m/s; NaN where unknown.
+
+    Arguments are those of `identify_terms`.
+    """
     usable, settings, _ = _prepared(vehicle, logs, settings)
-    return StructureSearch(vehicle, usable, settings, on_iteration).full().score
+    return StructureSearch(vehicle, usable, settings, on_iteration).full().scores
 
 
 def _prepared(

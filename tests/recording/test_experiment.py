@@ -202,6 +202,17 @@ def test_only_a_vehicle_that_can_drives_backwards_and_brakes() -> None:
     assert least("jackal") < 0.0
 
 
+def test_a_lag_that_forgets_where_it_began_leaves_no_information_that_is_negative() -> None:
+    """The wheels stand still, unseen, for half a second; then the car creeps."""
+    lag = known_before(load_vehicle_config("car-lag"), NOISE, 30.0)
+    times = np.arange(0.5, 8.5, 0.1)
+    controls = np.stack([0.25 * ((times - 0.5) % 4.0), np.full(len(times), -0.19)], axis=1)
+    ramp = Manoeuvre("ramp", np.concatenate([[0.0], times]), np.concatenate([np.zeros((1, 2)), controls]), 12.0)
+    information = lag.simulate([ramp]).information[0]
+    size = np.sqrt(np.maximum(np.diag(information), 1e-9))
+    assert np.linalg.eigvalsh(information / np.outer(size, size)).min() > -1e-6
+
+
 def test_parameters_that_no_pose_depends_on_are_refused(known: Knowledge, monkeypatch: pytest.MonkeyPatch) -> None:
     simulate = Knowledge.simulate
 

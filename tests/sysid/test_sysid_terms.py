@@ -13,7 +13,7 @@ from support.logs import RAMPS, needs_real_logs
 from kraft.errors import InputError
 from kraft.logs.log import Log, Part
 from kraft.logs.reader import read_logs
-from kraft.sysid import Settings, identify, prediction_errors, unexplained
+from kraft.sysid import Settings, identify, model_choice, prediction_errors, unexplained
 from kraft.sysid.acceptance import useless_objections
 from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.base_vehicle import (
@@ -242,6 +242,18 @@ def test_turns_that_understeer_makes_wide_are_not_those_of_a_larger_car(wheelbas
     assert for_turns(base, logs).vehicle.parameters["L"] > 2.0 * base.vehicle.parameters["L"]
     (found,) = with_wheelbase([base], logs, Settings())
     assert found.vehicle.parameters["L"] == pytest.approx(wheelbase, rel=0.5)
+
+
+@pytest.mark.parametrize(("stated", "kept"), [((0.5, 0.09, 0.09, 0.09), True), ((0.5, 0.11, 0.11, 0.11), False)])
+def test_one_fold_alone_does_not_decide_between_wheelbases(
+    stated: tuple[float, ...], kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To first order one fold is predicted far off with the wheelbase that suits the turns, as others may be."""
+    found = [np.array(stated), np.array([1.0, 0.105, 0.105, 0.105])]
+    monkeypatch.setattr(model_choice, "errors_of_all_terms", lambda *_: found.pop(0))
+    base = load_base_vehicle("car")
+    (chosen,) = with_wheelbase([base], [drive(car(L=4.0, steer=0.5), 0)], Settings())
+    assert (chosen is base) == kept
 
 
 def test_a_slow_servo_is_no_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:
