@@ -136,8 +136,8 @@ def compose(subject: PlanPicture, title: str, notes: Mapping[str, str]) -> Figur
 
 def _draw_map(axes: Axes, subject: PlanPicture, frame: Frame, lines: LineCollection | None, scale: float) -> None:
     draw_workspace(axes, frame, subject.task.bounds, scale)
-    for obstacle in subject.task.obstacles:
-        draw_obstacle(axes, frame, obstacle, scale)
+    for number, obstacle in enumerate(subject.task.obstacles):
+        draw_obstacle(axes, frame, obstacle, number, scale)
     if lines is not None:
         axes.add_collection(lines, autolim=False)
     draw_goal(axes, frame, subject.task.goal)
@@ -175,7 +175,7 @@ def _avoided_points(subject: PlanPicture) -> Floats:
             bold += [poses[:, :2], outlines(footprint, poses[::10]).reshape(-1, 2)]
     some = np.linspace(0, len(tree.states) - 1, min(len(tree.states), 2000)).astype(np.int64)
     places = tree.states[some][:, [subject.vehicle.index("x"), subject.vehicle.index("y")]]
-    names = [widest_place(o)[0][None, :] for o in subject.task.obstacles if not isinstance(o, OccupancyMap) and o.name]
+    names = [widest_place(o)[0][None, :] for o in subject.task.obstacles if not isinstance(o, OccupancyMap)]
     weighted = [(points, 1.0) for points in bold] + [(places, 0.4)] + [(points, 5.0) for points in names]
     return np.vstack([np.column_stack([points, np.full(len(points), weight)]) for points, weight in weighted])
 

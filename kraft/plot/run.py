@@ -129,8 +129,8 @@ def _draw_map(
 ) -> None:
     draw_workspace(axes, frame, task.bounds, scale)
     draw_hidden_features(axes, frame, hidden)
-    for obstacle in task.obstacles:
-        draw_obstacle(axes, frame, obstacle, scale)
+    for number, obstacle in enumerate(task.obstacles):
+        draw_obstacle(axes, frame, obstacle, number, scale)
     draw_goal(axes, frame, task.goal)
     draw_observations(axes, frame, drive.result)
     draw_footprints(axes, frame, vehicle, drive, run_footprint_interval(drive))

@@ -32,6 +32,7 @@ from kraft.plot.style import (
     SMALL,
     SOLID,
     SOLID_EDGE,
+    TINY,
     WARNING,
     WARNING_PALE,
     Dashes,
@@ -130,8 +131,11 @@ def _round_step(least: float) -> float:
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least * (1 - 1e-9))
 
 
-def draw_obstacle(axes: Axes, frame: Frame, obstacle: Obstacle, scale: float) -> None:
-    """One obstacle, with its name where there is room for it."""
+def draw_obstacle(axes: Axes, frame: Frame, obstacle: Obstacle, number: int, scale: float) -> None:
+    """One obstacle, with its name where there is room for it.
+
+    One without a name has its `number` instead, the place in the scenario's list by which messages call it.
+    """
     if isinstance(obstacle, OccupancyMap):
         _draw_cells(axes, frame, obstacle)
         return
@@ -142,9 +146,12 @@ def draw_obstacle(axes: Axes, frame: Frame, obstacle: Obstacle, scale: float) ->
     ):
         axes.add_patch(_shape(frame, obstacle, shape_style))
     center, room = widest_place(obstacle)
-    if obstacle.name and text_width(obstacle.name, SMALL) / 72 < 0.9 * room * scale:
-        style: Style = {"fontsize": SMALL, "color": "#4a515c", "ha": "center", "va": "center", "zorder": 3.1}
-        axes.text(*_pair(frame.points(center)), obstacle.name, parse_math=False, clip_on=True, **style)
+    text = obstacle.name or str(number)
+    sizes = (SMALL,) if obstacle.name else (SMALL, TINY)  # walls are thin, and their numbers short
+    size = next((size for size in sizes if text_width(text, size) / 72 < 0.9 * room * scale), None)
+    if size is not None:
+        style: Style = {"fontsize": size, "color": "#4a515c", "ha": "center", "va": "center", "zorder": 3.1}
+        axes.text(*_pair(frame.points(center)), text, parse_math=False, clip_on=True, **style)
 
 
 def _shape(frame: Frame, obstacle: Box | Circle | Polygon, shape_style: Mapping[str, Any]) -> Patch:

@@ -39,7 +39,7 @@ Style: TypeAlias = dict[str, Any]  # arguments of matplotlib's artists
 Dashes: TypeAlias = tuple[float, tuple[float, ...]]
 DASHED: Final[Dashes] = (0, (2.4, 0.9))  # what would happen instead
 
-TITLE, VALUE, LABEL, SMALL = 13.0, 10.5, 8.0, 7.0  # type sizes, pt
+TITLE, VALUE, LABEL, SMALL, TINY = 13.0, 10.5, 8.0, 7.0, 4.5  # type sizes, pt
 
 SETTINGS: Final[dict[str, Any]] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same glyphs everywhere

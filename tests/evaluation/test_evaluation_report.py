@@ -234,8 +234,10 @@ def test_obstacles_are_the_redder_the_more_often_they_were_hit() -> None:
 def test_obstacles_without_a_name_are_those_that_were_hit() -> None:
     scenario = load_scenario("turns")
     unnamed = replace(scenario, obstacles=tuple(replace(each, name=None) for each in scenario.obstacles))
-    hit = [str(found[0].text) for found in shapes(floor_plan(unnamed, {"obstacles[1]": 7}), "hit")]
-    assert hit == ["obstacles[1]: 7 collisions"]
+    drawing = floor_plan(unnamed, {"obstacles[1]": 7})
+    assert [str(found[0].text) for found in shapes(drawing, "hit")] == ["obstacles[1]: 7 collisions"]
+    assert [found.text for found in shapes(drawing, "number")] == ["1"]
+    assert not list(shapes(floor_plan(scenario, {"left wall": 7}), "number")), "names are in the words below"
 
 
 @pytest.mark.parametrize("size", [40, 1000])

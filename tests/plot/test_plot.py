@@ -285,3 +285,14 @@ def test_a_long_title_is_cut_to_the_width_it_has() -> None:
 def test_items_flow_into_rows_and_one_that_is_too_wide_has_its_own() -> None:
     assert flow_rows([2.0, 2.0, 2.0, 9.0, 1.0], 5.0) == [[0, 1], [2], [3], [4]]
     assert flow_rows([], 5.0) == []
+
+
+def test_obstacles_without_a_name_have_the_number_by_which_messages_call_them() -> None:
+    bounds, thin = Bounds(x=(0, 5), y=(0, 4)), [Box((0.05, 2.0), (0.1, 4.0))] * 11  # walls of generated worlds
+    task = dataclasses.replace(MIXED, bounds=bounds, obstacles=(*MIXED.obstacles[:3], *thin))
+    with plot_style():
+        figure = compose(PlanPicture.of(task, CAR, None, fan(0), 1.0), "", {})
+    texts = [text.get_text() for text in figure.axes[0].texts]
+    assert [text for text in texts if text.isdigit()] == [str(number) for number in range(2, 14)]
+    assert task.obstacle_labels[2] == "obstacles[2]"
+    assert {"column", "rock"} <= set(texts)

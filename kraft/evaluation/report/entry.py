@@ -187,6 +187,7 @@ def floor_plan(scenario: Scenario, hits: Mapping[str, int]) -> Element:
         _goal(scenario.goal),
         _start(scenario.start, 0.02 * LONGEST / scale),
         _uphill(scenario.truth.tilt, ((x0 + x1) / 2, (y0 + y1) / 2), 0.12 * LONGEST / scale),
+        *_numbers(scenario, hits, scale),
     ]
     # one unit is a metre inside this group, and y grows upwards
     place = f"scale({scale:.6g}) translate({number(margin - x0)} {number(margin + y1)}) scale(1 -1)"
@@ -222,6 +223,16 @@ def _obstacle(obstacle: Obstacle, label: str, hits: int, most: int) -> Element:
         found.set("class", "obstacle hit")
         found.set("style", f"fill-opacity: {0.25 + 0.75 * hits / most:.2f}")
     return found
+
+
+def _numbers(scenario: Scenario, hits: Mapping[str, int], scale: float) -> Iterator[Element]:
+    """Number of each obstacle without a name that was hit, by which rows and pages call it; `scale` is in px per m."""
+    for index, (obstacle, label) in enumerate(zip(scenario.obstacles, scenario.obstacle_labels, strict=True)):
+        if obstacle.name or label not in hits or isinstance(obstacle, OccupancyMap):
+            continue
+        x, y = obstacle.center if not isinstance(obstacle, Polygon) else np.mean(obstacle.vertices, axis=0)
+        place = f"translate({x:.4g} {y:.4g}) scale({1 / scale:.4g} {-1 / scale:.4g})"
+        yield element("text", str(index), class_="number", transform=place, dy="0.35em")
 
 
 def _polygon(vertices: tuple[tuple[float, float], ...], look: str, title: str) -> Element:
