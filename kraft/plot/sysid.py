@@ -56,7 +56,7 @@ from kraft.plot.sysid_panels import (
 from kraft.sysid.acceptance import PredictionEvaluation
 from kraft.sysid.data import LogSplit, used_text
 from kraft.sysid.interface import Identification, PartFit
-from kraft.sysid.prediction import median_error_log
+from kraft.sysid.prediction import most_turning_log
 from kraft.text import counted
 from ompl_ext.vehicle import Vehicle
 
@@ -241,10 +241,10 @@ def _draw_choice(figure: Figure, page: Page, top: float, result: Identification)
 def _draw_prediction(figure: Figure, page: Page, top: float, evaluation: PredictionEvaluation) -> None:
     pair = evaluation.held_out or evaluation.fitted
     whose = "held-out logs" if evaluation.held_out else "fitted logs"
-    name = median_error_log(pair.identified)
+    name = most_turning_log(pair.identified)
     floor = Rectangle(LEFT, top, SIDE + 0.2, ROWS[2])
     draw_windows(page.axes(figure, floor), floor, pair, name)
-    title = with_name("Prediction of {}, 3 s at a time", name, floor.width + 0.2)
+    title = with_name("Prediction of {} (turns most), 3 s at a time", name, floor.width + 0.2)
     caption(figure, page, floor, ((title, INK), ("poses", DATA)))
     pairs = [(pair, whose)] + ([(evaluation.fitted, "fitted logs")] if evaluation.held_out else [])
     width = (WIDTH - RIGHT - floor.left - floor.width - 1.5) / 2

@@ -63,6 +63,8 @@ BETWEEN: Final = 0.12
 """Room between columns of the table."""
 TURNED: Final = 35.0
 """Angle of names below an axis, degrees."""
+FAR: Final = 10.0
+"""Ratio of the largest error to the identified model's from which on errors are drawn logarithmically."""
 DOWNWEIGHTED: Final = 0.5
 """Weight below which observations are marked."""
 
@@ -227,10 +229,7 @@ def draw_trials(axes: Axes, trials: Sequence[ModelTrial]) -> list[ColouredText]:
         found.append((f"{after:g} s", colour))
     found.append(("ring: chosen", INK))
     plain_axes(axes)
-    axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(10.0, (1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: plain_number(value)))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    _set_logarithmic(axes, (1.0, 2.0, 5.0))
     axes.set_xticks(
         at,
         [_tried(trials, k) for k in range(len(trials))],
@@ -245,6 +244,14 @@ def draw_trials(axes: Axes, trials: Sequence[ModelTrial]) -> list[ColouredText]:
     return found
 
 
+def _set_logarithmic(axes: Axes, ticks: Sequence[float]) -> None:
+    """Make the vertical axis logarithmic, with ticks at these multiples of powers of ten."""
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(10.0, ticks))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: plain_number(value)))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
 def trial_names_height(trials: Sequence[ModelTrial]) -> float:
     """Height of the names of the structures below their errors, which are turned, in."""
     longest = max(text_width(_tried(trials, k), SMALL) for k in range(len(trials)))
@@ -254,13 +261,13 @@ def trial_names_height(trials: Sequence[ModelTrial]) -> float:
 def _tried(trials: Sequence[ModelTrial], k: int) -> str:
     """What tells a structure from the one before."""
     if k == 0:
-        return counted(len(trials[k].terms), "term")
+        return f"all {counted(len(trials[k].terms), 'term')} on"
     if trials[k].model != trials[k - 1].model:
         return trials[k].model
     if trials[k].added:
         return f"+ {trials[k].added}"
     names = trials[k].without.split(", ")
-    return names[0] if len(names) == 1 else f"{len(names)} idle ones"
+    return names[0] if len(names) == 1 else f"{len(names)} off together"
 
 
 def longest_time(models: Sequence[ModelTrial]) -> float:
@@ -300,15 +307,26 @@ def draw_windows(axes: Axes, part: Rectangle, pair: PredictionPair, name: str) -
 def draw_error_over_time(
     axes: Axes, pairs: Sequence[tuple[PredictionPair, str]], columns: Sequence[int], factor: float, unit: str
 ) -> None:
-    """Draw the error over time: identified, initial, constant motion; forecasts after the first are thin and dashed."""
+    """Draw the error over time: identified, initial, constant motion; forecasts after the first are thin and dashed.
+
+    The axis is logarithmic where others are so large that those of the identified model would lie on the zero line.
+    """
+    largest, identified = 0.0, 0.0
     for k, (pair, _) in enumerate(pairs):
         style: Style = {"linewidth": 1.8 if k == 0 else 1.0, "linestyle": "solid" if k == 0 else (0, (2.4, 1.2))}
         for windows, colour in ((pair.constant, DATA), (pair.initial, INITIAL), (pair.identified, IDENTIFIED)):
             times, errors = error_over_time(windows, columns)
             axes.plot(np.append(0.0, times), factor * np.append(0.0, errors), color=colour, **style)
+            largest = max(largest, factor * float(errors.max()))
+            if windows is pair.identified:
+                identified = max(identified, factor * float(errors.max()))
     plain_axes(axes)
     axes.set(xlim=(0.0, 3.0))
-    axes.set_ylim(bottom=0.0)
+    if largest > FAR * identified > 0.0:
+        _set_logarithmic(axes, (1.0,))
+        unit += ", logarithmic"
+    else:
+        axes.set_ylim(bottom=0.0)
     axes.grid(color=RULE, linewidth=0.4)
     axes.set_xlabel("time since the prediction began, s", labelpad=1)
     axes.set_ylabel(unit, labelpad=2)

@@ -341,13 +341,13 @@ def error_over_time(windows: Sequence[Window], columns: Sequence[int]) -> tuple[
     return known * BIN, np.sqrt([float(np.mean(squared[bins == k])) for k in known])
 
 
-def median_error_log(windows: Sequence[Window]) -> str:
-    """Name of the log with the median error."""
-    errors: dict[str, list[float]] = {}
+def most_turning_log(windows: Sequence[Window]) -> str:
+    """Name of the log that turns most: whose headings change most from the begin to the end of its windows, in sum."""
+    turns: dict[str, float] = {}
     for window in windows:
-        errors.setdefault(window.log, []).append(float(np.mean(np.hypot(*(window.predicted - window.poses)[:, :2].T))))
-    means = sorted((float(np.mean(found)), name) for name, found in errors.items())
-    return means[len(means) // 2][1]
+        yaw = np.unwrap(window.poses[:, 2])
+        turns[window.log] = turns.get(window.log, 0.0) + abs(float(yaw[-1] - yaw[0]))
+    return max(turns, key=lambda name: turns[name])
 
 
 def _rms(values: Floats, chosen: Bools) -> float:

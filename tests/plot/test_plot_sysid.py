@@ -14,9 +14,11 @@ from kraft.errors import InputError
 from kraft.plot.style import plot_style
 from kraft.plot.sysid import compose, plot_identification
 from kraft.plot.sysid_logs import compose_logs, most_excited_log, plot_logs, speeds
+from kraft.plot.sysid_panels import draw_error_over_time
+from kraft.sysid.acceptance import PredictionPair
 from kraft.sysid.data import LogSplit
 from kraft.sysid.interface import Identification, LogFit, ModelTrial, PartFit
-from kraft.sysid.prediction import error_over_time, median_error_log
+from kraft.sysid.prediction import error_over_time, most_turning_log
 from kraft.vehicles.load import load_vehicle
 
 MUSHR = load_vehicle("mushr")
@@ -46,7 +48,7 @@ def test_the_same_result_gives_the_same_bytes(tmp_path: Path) -> None:
 def test_parameters_fit_residuals_prediction_and_correlation_are_on_the_page() -> None:
     seen = texts(page(SPLIT, RESULT))
     for said in ("L, m", "phi_diff, rad", "0.330", "0.310 to 0.350", "delay, s", "Fit of run_", "Residuals, yaw",
-                 "Prediction of run_4, 3 s at a time", "Position, held-out logs", "constant motion", "Correlation",
+                 "Prediction of run_4 (turns most), 3 s at a time", "Position, held-out logs", "constant motion", "Correlation",
                  "held out"):  # fmt: skip
         assert said in seen
     assert "not identified" not in seen
@@ -64,7 +66,9 @@ def test_a_long_name_of_a_log_leaves_the_caption_beside_it_its_room() -> None:
     split = replace(SPLIT, held_out=(replace(LOGS[3], name="recorded_in_the_large_hall_" * 3),))
     (line,) = [line for line in texts(page(split, RESULT)).splitlines() if line.startswith("Prediction of")]
     assert line.startswith("Prediction of recorded_in")
-    assert line.endswith("..., 3 s at a time") or line.endswith("\N{HORIZONTAL ELLIPSIS}, 3 s at a time")
+    assert line.endswith("... (turns most), 3 s at a time") or line.endswith(
+        "\N{HORIZONTAL ELLIPSIS} (turns most), 3 s at a time"
+    )
 
 
 def test_the_choice_of_terms_and_models_is_on_the_page() -> None:
@@ -79,7 +83,7 @@ def test_the_choice_of_terms_and_models_is_on_the_page() -> None:
     seen = page(SPLIT, replace(RESULT, trials=tuple(trials), models=tuple(models)))
     assert "Choice of the model" in texts(seen)
     labels = {label.get_text() for axes in seen.axes for label in axes.get_xticklabels()}
-    assert {"3 terms", "drag", "slip", "+ drag"} <= labels
+    assert {"all 3 terms on", "drag", "slip", "+ drag"} <= labels
     assert "mushr-lag" in texts(seen)
     assert "Choice of" not in texts(page(SPLIT, RESULT))
 
@@ -240,11 +244,25 @@ def test_errors_grow_as_the_windows_say() -> None:
     assert times[0] == pytest.approx(0.1)
 
 
-def test_the_log_that_is_shown_is_the_one_that_is_steered_most_or_predicted_as_usual() -> None:
+def test_the_log_that_is_shown_is_the_one_that_is_steered_most_or_turns_most() -> None:
     (part,) = LOGS[2].parts
     wild = replace(
         LOGS[2], parts=(replace(part, commands=part.commands * np.where(np.arange(16) % 2, 1, -1)[:, None]),)
     )
     assert most_excited_log((*LOGS[:2], wild)) is wild
-    windows = [*fake_windows(LOGS[:1], 0.1), *fake_windows(LOGS[1:2], 0.2), *fake_windows(LOGS[2:3], 0.9)]
-    assert median_error_log(windows) == "run_2"
+    windows = fake_windows(LOGS[:3], 0.1)
+    straight = [replace(each, poses=each.poses * [1.0, 1.0, 0.0]) for each in (windows[0], windows[2])]
+    assert most_turning_log([straight[0], windows[1], straight[1]]) == "run_2"
+
+
+@pytest.mark.parametrize(("initial", "scale"), [(0.05, "linear"), (5.0, "log")])
+def test_errors_of_the_identified_model_can_be_read_beside_large_ones(initial: float, scale: str) -> None:
+    logs = SPLIT.held_out
+    pair = PredictionPair(fake_windows(logs, 0.01), fake_windows(logs, initial), fake_windows(logs, 0.02))
+    axes = Figure().add_subplot()
+    draw_error_over_time(axes, [(pair, "held-out logs")], (0, 1), 100.0, "cm")
+    assert axes.get_yscale() == scale
+    assert axes.get_ylabel() == ("cm" if scale == "linear" else "cm, logarithmic")
+    low, high = axes.get_ylim()
+    assert low <= 1.0, "cm after 1 s"
+    assert high > 3.0, "cm after 3 s"
