@@ -133,7 +133,7 @@ def speed_colours(speeds: Floats, top: float) -> Matrix:
 
 EDGES_MAX: Final = 1500
 """Number of edges above which only a part of the tree is drawn."""
-PREDICTED_HEIGHT, TREE_HEIGHT, TRAIL_HEIGHT = 0.0025, 0.005, 0.006
+TREE_HEIGHT, PREDICTED_HEIGHT, TRAIL_HEIGHT = 0.001, 0.0025, 0.006
 PLAN_HEIGHT, CONTINGENCY_HEIGHT, ESTIMATE_HEIGHT = 0.009, 0.012, 0.014
 """Height above the ground, m: what is higher covers what is lower."""
 SPACING: Final = 0.05

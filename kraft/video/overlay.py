@@ -29,13 +29,14 @@ from kraft.video.drawing import (
     colour,
     speed_colours,
 )
-from kraft.video.renderer import Image
+from kraft.video.renderer import Image, is_turned
 
 BAND: Final = 84
 """Height of the band at the foot, px."""
 COLUMN: Final = 118
 MARGIN: Final = 16
 OPACITY: Final = 0.8
+TURNED: Final = "the map is turned by 90°: x points up"
 
 SAMPLE: Final = 34
 ROW: Final = 22
@@ -58,6 +59,8 @@ class Overlay:
         draw = ImageDraw.Draw(self._static)
         draw.rectangle((0, self._height - BAND, self._width - 1, self._height), fill=BACKGROUND)
         draw.rectangle((self._width - 1, 0, self._width, self._height), fill=BACKGROUND)
+        if is_turned(spec.scenario.bounds):
+            self._note_turn(draw, map_width)
         self._title(draw, spec.scenario.name, spec.method.title if driver is None else driver)
         rows = legend_rows(spec.vehicle.top_speed)
         draw_legend(draw, self._width - MARGIN, MARGIN, rows if self._knows_plans else rows[-1:], _background())
@@ -72,6 +75,12 @@ class Overlay:
         if result is not None:
             self._outcome(draw, result)
         return np.asarray(image)
+
+    def _note_turn(self, draw: ImageDraw.ImageDraw, map_width: int) -> None:
+        """Say at the foot of the map how it lies."""
+        middle, half = self._width + map_width / 2, font(TYPE).getlength(TURNED) / 2 + 10
+        draw.rounded_rectangle((middle - half, self._height - 32, middle + half, self._height - 8), 6, _background())
+        draw.text((middle, self._height - 20), TURNED, TEXT, font(TYPE), "mm")
 
     def _title(self, draw: ImageDraw.ImageDraw, name: str, driver: str) -> None:
         width = int(max(font(24, bold=True).getlength(name), font(15).getlength(driver))) + 28

@@ -236,13 +236,18 @@ def _level_axes(sight: Floats) -> tuple[Floats, Floats]:
     return forward, np.cross(right, forward)
 
 
+def is_turned(bounds: Bounds) -> bool:
+    """Whether +x points up in the map instead of +y: in a scene that is wider than high."""
+    return bounds.x[1] - bounds.x[0] > bounds.y[1] - bounds.y[0]
+
+
 def map_aim(frame: FloorFrame, bounds: Bounds, aspect: float) -> Aim:
     """From above, square to the floor, without perspective; `aspect` is the picture's width over its height.
 
     +y points up in the picture, or +x if the scene is wider than high.
     """
     size = np.array([bounds.x[1] - bounds.x[0], bounds.y[1] - bounds.y[0]])
-    wide = size[0] > size[1]
+    wide = is_turned(bounds)
     across, along = size[::-1] if wide else size
     half = 0.5 * max(along, across / aspect) + 0.12
     rotation = frame.rotation

@@ -27,7 +27,7 @@ from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft.video.drawing import ESTIMATE, FAILURE, PLAN, Snapshot, SnapshotRecorder
-from kraft.video.overlay import font, wrapped
+from kraft.video.overlay import Overlay, font, wrapped
 from kraft.video.recorder import HOLD, SIZE, VideoRecorder, map_width, write_still
 from kraft.video.renderer import FORMATS, FilmWriter, Image, SceneRenderer, smoothed
 
@@ -310,3 +310,13 @@ def test_a_still_is_a_picture_of_the_video(video: tuple[Path, TrialResult], tmp_
     with Pillow.open(tmp_path / "a.png") as picture:
         still = np.asarray(picture).astype(int)
     assert np.abs(still - pictures(video[0])[6]).mean() < 6
+
+
+@pytest.mark.parametrize(("name", "turned"), [("track", True), ("turns", False)])
+def test_a_map_that_is_turned_says_so(name: str, turned: bool) -> None:
+    spec = TrialSpec.load(name)
+    side = map_width(spec.scenario.bounds)
+    snapshot = Snapshot(0.0, np.zeros(3), 0.0, None, 1.0, None, np.zeros((2, 3)), np.zeros(1), None)
+    picture = Overlay(spec, SIZE, side).over(np.full((SIZE[1], SIZE[0], 3), 128, np.uint8), snapshot)
+    foot_of_map = picture[-40:, SIZE[0] - side + 2 :]
+    assert bool((foot_of_map != 128).any()) is turned

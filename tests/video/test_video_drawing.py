@@ -120,6 +120,16 @@ def test_a_plan_is_drawn_with_its_tree_and_a_contingency_without_a_plan() -> Non
     assert not [geom for geom in drawn(scene) if geom.rgba[2] > 0.6 and geom.rgba[0] < 0.1]
 
 
+def test_the_tree_lies_below_the_predicted_motion() -> None:
+    _, scene, pen = canvas("turns")
+    draw_cycle(pen, cycle(ReferenceKind.PLAN, 50), MUSHR)
+    tree = [geom.pos[2] for geom in drawn(scene) if geom.type == LINE]
+    width = MUSHR.footprint.width / 2
+    band = [geom.pos[2] - geom.size[2] for geom in drawn(scene) if geom.type != LINE and geom.size[1] >= width - 1e-6]
+    assert band
+    assert max(tree) < min(band)
+
+
 def test_a_cycle_is_shown_from_when_it_begins() -> None:
     scenario = load_scenario("turns")
     world = World(scenario)
