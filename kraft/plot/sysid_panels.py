@@ -311,18 +311,21 @@ def draw_error_over_time(
 
     The axis is logarithmic where others are so large that those of the identified model would lie on the zero line.
     """
-    largest, identified = 0.0, 0.0
+    curves: list[tuple[Floats, Floats, Style]] = []
+    largest = identified = 0.0
     for k, (pair, _) in enumerate(pairs):
         style: Style = {"linewidth": 1.8 if k == 0 else 1.0, "linestyle": "solid" if k == 0 else (0, (2.4, 1.2))}
         for windows, colour in ((pair.constant, DATA), (pair.initial, INITIAL), (pair.identified, IDENTIFIED)):
             times, errors = error_over_time(windows, columns)
-            axes.plot(np.append(0.0, times), factor * np.append(0.0, errors), color=colour, **style)
+            curves.append((times, factor * errors, {"color": colour, **style}))
             largest = max(largest, factor * float(errors.max()))
-            if windows is pair.identified:
-                identified = max(identified, factor * float(errors.max()))
+        identified = max(identified, factor * float(errors.max()))
+    far = largest > FAR * identified > 0.0
+    for times, errors, drawn in curves:  # the error at the begin, 0, is on no logarithmic axis
+        axes.plot(times if far else np.append(0.0, times), errors if far else np.append(0.0, errors), **drawn)
     plain_axes(axes)
     axes.set(xlim=(0.0, 3.0))
-    if largest > FAR * identified > 0.0:
+    if far:
         _set_logarithmic(axes, (1.0,))
         unit += ", logarithmic"
     else:

@@ -265,4 +265,6 @@ def test_errors_of_the_identified_model_can_be_read_beside_large_ones(initial: f
     assert axes.get_ylabel() == ("cm" if scale == "linear" else "cm, logarithmic")
     low, high = axes.get_ylim()
     assert low <= 1.0, "cm after 1 s"
+    begins = {float(line.get_xdata()[0]) for line in axes.lines}  # type: ignore[index]
+    assert begins == {0.0 if scale == "linear" else 0.1}, "a logarithmic axis has no 0"
     assert high > 3.0, "cm after 3 s"
