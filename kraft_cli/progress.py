@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+from kraft.elapsed import LOADING, LOADING_INTERVAL, elapsed_time
 from kraft.evaluation import Experiment, Observer, TrialRow
 from kraft.evaluation.journal import Key
 from kraft.text import counted
@@ -45,9 +47,11 @@ class Progress(Observer):
         self._trials = self._total = self._done = 0
         self._bars: Bars | None = None
         self._tasks: dict[tuple[str, str], TaskID] = {}
+        self._loading = ExitStack()
 
     def __enter__(self) -> Progress:
-        """Print nothing before `started`."""
+        """Print that modules are loaded and files are checked if that takes long, until the first message."""
+        self._loading.enter_context(elapsed_time(self._terminal.info, LOADING, interval=LOADING_INTERVAL))
         return self
 
     def __exit__(self, kind: type[BaseException] | None, _: BaseException | None, __: TracebackType | None) -> None:
@@ -56,6 +60,7 @@ class Progress(Observer):
 
     def close(self) -> None:
         """Remove the bars."""
+        self._loading.close()
         if self._bars is not None:
             self._bars.stop()
             self._bars = None
@@ -66,6 +71,7 @@ class Progress(Observer):
 
     def log(self, text: str) -> None:
         """Print a message above the bars."""
+        self._loading.close()
         if self._bars is not None:
             self._bars.console.print(text)
         else:
@@ -73,6 +79,7 @@ class Progress(Observer):
 
     def started(self, experiment: Experiment, folder: Path | None, rows: Mapping[Key, TrialRow]) -> None:
         """Count the finished trials, and start the bars."""
+        self._loading.close()
         self._interrupts.trials_run = True
         self._counts = {cell.key: Counter() for cell in experiment.cells}
         self._trials, self._total = experiment.trials, experiment.trials * len(experiment.cells)

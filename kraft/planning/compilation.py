@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from kraft.elapsed import elapsed_time
 from kraft.planning.feasibility import needs_motions
 from kraft.scenario import Task
 from ompl_ext.arrays import Matrix32
@@ -81,14 +82,15 @@ def ensure_checks_compiled(task: Task, vehicle: Vehicle, report: Callable[[str],
 
 
 def _compile(parts: Mapping[str, Callable[[], object]], report: Callable[[str], None]) -> None:
-    """Compile parts by name; `report` gets what is compiled and each part that is done."""
+    """Compile parts by name; `report` gets what is compiled, for how long, and each part that is done."""
     if not parts:
         return
     # no estimate: what else the machine does makes it three times as long
     report(f"compiling {', '.join(parts)} for this machine, once: this may take a minute ...")
     began = time.perf_counter()
     for number, (name, compile_part) in enumerate(parts.items(), 1):
-        with interrupts_between_passes():
+        took = time.perf_counter() - began
+        with interrupts_between_passes(), elapsed_time(report, f"compiling {name}", before=took):
             compile_part()
         if number < len(parts):
             report(f"  {number} of {len(parts)} after {time.perf_counter() - began:.0f} s: {name}")

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+from kraft.elapsed import elapsed_time
 from kraft.errors import Defect
 from kraft.logs.log import Part
 from kraft.sysid.chains import whole_segment
@@ -161,13 +162,14 @@ def ensure_compiled(vehicle: Vehicle, reference: str, info: Callable[[str], None
     Args:
         vehicle: the vehicle with the model.
         reference: name or file of the vehicle as the user gave it.
-        info: receives a message before and after the compilation.
+        info: receives messages before, during and after the compilation.
     """
     if are_steps_cached(vehicle) and is_cached():
         return
     info(f"compiling the model of {reference} for identification on this machine, once ...")
     began = time.perf_counter()
-    compile_identification(vehicle)
+    with elapsed_time(info, f"compiling the model of {reference}"):
+        compile_identification(vehicle)
     info(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
 
 

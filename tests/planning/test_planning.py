@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import threading
 from collections.abc import Callable
 from importlib import import_module
 
@@ -407,6 +408,26 @@ def test_what_identification_needs_is_compiled_before_a_vehicle_drives(monkeypat
     assert "the identification" in messages[0]
     assert compiled == [vehicle]
     assert len(messages) == 2
+
+
+def test_the_time_of_a_long_compilation_is_told_while_it_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle, messages, told = load_vehicle("mushr"), list[str](), threading.Event()
+
+    def report(text: str) -> None:
+        messages.append(text)
+        if len(messages) == 3:
+            told.set()
+
+    def long_compilation(_: Vehicle) -> None:
+        assert told.wait(30.0), "it lasts until it is told of twice"
+
+    ensure_compiled(vehicle, lambda _: None)
+    monkeypatch.setattr("kraft.planning.compilation.is_polish_cached", lambda _: False)
+    monkeypatch.setattr("kraft.planning.compilation.polish_kernels", long_compilation)
+    monkeypatch.setattr("kraft.elapsed.INTERVAL", 0.01)
+    ensure_compiled(vehicle, report, polish=True)
+    assert messages[1] == messages[2] == "  0 s: compiling the local optimisation for mushr"
+    assert messages[-1].startswith("compiled in 0 s")
 
 
 def test_each_part_that_is_compiled_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,39 @@
+"""How long something takes that tells nothing itself, reported while it goes on."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from kraft.text import Log
+
+INTERVAL: Final = 5.0
+"""Time between two messages, s."""
+LOADING: Final = "loading and checking: the first start after an installation takes longest"
+LOADING_INTERVAL: Final = 3.0
+"""Time between two messages about modules that are loaded, s: few starts after the first one take as long."""
+
+
+@contextmanager
+def elapsed_time(log: Log, what: str, *, interval: float | None = None, before: float = 0.0) -> Iterator[None]:
+    """Context that reports every `interval` s, `INTERVAL` by default, how long it has lasted, and `what` goes on in it.
+
+    `before` is the time that parts of the same work before it took, s.
+    A thread of its own reports: neither a compilation nor an import returns before it ends.
+    """
+    ended, began, wait = threading.Event(), time.monotonic(), INTERVAL if interval is None else interval
+
+    def report() -> None:
+        while not ended.wait(wait):
+            log(f"  {before + time.monotonic() - began:.0f} s: {what}")
+
+    thread = threading.Thread(target=report, name="elapsed time", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
