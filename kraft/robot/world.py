@@ -62,6 +62,8 @@ STANDS: Final = 0.02
 """Speed below which the car stands, m/s."""
 COASTING: Final = 3.0
 """Longest time for which the world goes on after the goal, s."""
+LOOK_RATE: Final = 2.0
+"""Rate at which the world looks who is connected before the drive begins, 1/s."""
 SILENT: Final = 3.0
 """Time without a command after which the world says that it may wait in vain, s."""
 BEHIND: Final = 1.0
@@ -123,7 +125,7 @@ class RobotWorld:
         self._stopped, self._waits = True, False
         self._commands = self.mux_stops = 0
         self._behind = self._lag = self._lost = 0.0
-        self._began = False
+        self._began = self._connected = False
         self.cancelled = False
         transport.subscribe(robot.command.topic, robot.command.type, self._take)
         announce(transport, scenario.task(), vehicle)
@@ -160,7 +162,8 @@ class RobotWorld:
             patience: time to wait for that command, s.
             speed: seconds of the simulation in a second of the clock; others than 1 take a robot with a `clock`.
             stays: go on after the goal or the time limit until `cancelled` is set.
-            report: receives a message when the drive begins, when commands stay away, and when they are back.
+            report: receives a message when somebody connects, when the drive begins, when commands stay away, and when
+                they are back.
         """
         assert speed == 1.0 or self._robot.clock is not None, "others must know the time"
         self._speed, self._report = speed, report
@@ -169,8 +172,8 @@ class RobotWorld:
 
     def _run(self, on_step: Callable[[TrueWorld, Step], None] | None, patience: float, stays: bool) -> WorldResult:
         world, dt = self.world, self.world.dt
-        rates = self._scenario.sensing.rate_hz, RECORD_RATE, DEAD_MAN_RATE, CLOCK_RATE / self._speed
-        self._frames, records, self._switch, self._times = (Ticks(rate, dt) for rate in rates)
+        rates = self._scenario.sensing.rate_hz, RECORD_RATE, DEAD_MAN_RATE, CLOCK_RATE / self._speed, LOOK_RATE
+        self._frames, records, self._switch, self._times, looks = (Ticks(rate, dt) for rate in rates)
         self._opened = clock.monotonic_ns()
         steps, ended, outcome = 0, None, None
         while True:
@@ -182,6 +185,9 @@ class RobotWorld:
             found = self._outcome()
             if outcome is None or (found is Outcome.COLLISION and outcome is not found):  # also after the goal
                 outcome, ended = found, None if found is None else world.time
+            if not self._began and steps >= looks.due:
+                looks.number += 1
+                self._look()
             steps += CHUNK
             if not self._began:
                 if self.cancelled or steps * dt > patience:
@@ -302,6 +308,16 @@ class RobotWorld:
         pose = settings.tracked_point.tracked_pose(observation.x, observation.y, observation.theta)
         after = steps_of(self._scenario.sensing.latency, self.world.dt)
         self._outgoing.append((steps + after, settings.topic, pose_message(settings.type, now, settings.frame, pose)))
+
+    def _look(self) -> None:
+        """Tell when somebody who may send commands connects or leaves, where the transport can tell."""
+        topic = self._robot.command.topic
+        connected = bool(self._transport.peers(topic).publishers)
+        if connected and not self._connected:
+            self._report(f"connected: waiting for the first command on {topic} that moves the car")
+        elif self._connected and not connected:
+            self._report("nobody is connected any more: waiting for another one")
+        self._connected = connected
 
     def _hold_dead_man(self) -> None:
         switch = self._robot.dead_man

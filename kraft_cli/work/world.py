@@ -69,9 +69,8 @@ def simulate(
     transport = open_transport(robot, "robot")
     try:
         world = RobotWorld(scenario, vehicle, robot, transport, request.seed)
-        report(
-            f"{scenario.name} is on {place_of(robot)}: poses on {robot.pose.topic}, commands from {robot.command.topic}"
-        )
+        on = f"poses on {robot.pose.topic}, commands from {robot.command.topic}"
+        report(f"{scenario.name} is on {place_of(robot)}: {on}; waiting for kraft drive or another program")
         for text in (far_camera(scenario), other_robot(scenario, vehicle)):
             if text:
                 report(f"warning: {text}")

@@ -13,6 +13,7 @@ import pytest
 from kraft.planning.workspace import vehicle_of_task
 from kraft.robot import world as robot_world
 from kraft.robot.command import CommandCodec
+from kraft.robot.loopback import LoopbackBus
 from kraft.robot.messages import nanoseconds_of
 from kraft.robot.robot_file import load_robot
 from kraft.robot.transport import Peers, Receive, Refused
@@ -122,6 +123,26 @@ def test_the_world_tells_when_the_drive_begins_and_how_long_it_waits_without_com
     assert told[0].endswith("the drive begins")
     assert re.search(r"^  0\.\d\d s  no command for 0\.5 s.* 59 s from now$", told[1])
     assert told[2].endswith("commands arrive again")
+
+
+def test_the_world_tells_who_connects_and_leaves_before_the_drive() -> None:
+    scenario, robot = load_scenario("boxes"), load_robot("sim").model_copy(update={"clock": None})
+    bus = LoopbackBus()
+    world = RobotWorld(scenario, vehicle_of_task(scenario), robot, bus.node("robot"), 0)
+    told: list[str] = []
+    client = bus.node("client")
+
+    def report(text: str) -> None:
+        told.append(text)
+        if len(told) == 1:
+            client.close()
+
+    client.advertise(robot.command.topic, robot.command.type)
+    world.run(patience=1.5, report=report)
+    assert told == [
+        "connected: waiting for the first command on /drive that moves the car",
+        "nobody is connected any more: waiting for another one",
+    ]
 
 
 def test_a_simulation_that_cannot_keep_up_says_how_much_it_lost(monkeypatch: pytest.MonkeyPatch) -> None:
