@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kraft.elapsed import LOADING, LOADING_INTERVAL, elapsed_time
 from kraft_cli import completion
 from kraft_cli.commands.options import Json, PlanningModel, ScenarioName, Set
 from kraft_cli.exit_status import ExitStatus
@@ -54,13 +55,14 @@ def run(
 
     The exit code is 1 if the goal is not reached.
     """
-    from kraft.trial.result import Outcome
-    from kraft_cli.tables import show_rows
-    from kraft_cli.work.run import RunRequest, cycle_line, run_json, run_scenario, run_table
-    from kraft_cli.work.run_folder import SCHEMA
-    from kraft_cli.work.trial_outputs import OutputOptions
-
     terminal: Terminal = context.obj
+    with elapsed_time(terminal.info, LOADING, interval=LOADING_INTERVAL):
+        from kraft.trial.result import Outcome
+        from kraft_cli.tables import show_rows
+        from kraft_cli.work.run import RunRequest, cycle_line, run_json, run_scenario, run_table
+        from kraft_cli.work.run_folder import SCHEMA
+        from kraft_cli.work.trial_outputs import OutputOptions
+
     if method is None:
         method = "adaptive-kraft" if realtime else "kraft"
     request = RunRequest(scenario, method, vehicle, seed, tuple(set_ or ()), out, OutputOptions(video, view, plot, bag))
@@ -76,9 +78,10 @@ def run(
 
 
 def _run_in_real_time(terminal: Terminal, request: RunRequest, json: bool) -> ExitStatus:
-    from kraft_cli.tables import show_rows
-    from kraft_cli.work.realtime import realtime_json, realtime_table, run_in_real_time
-    from kraft_cli.work.run_folder import SCHEMA
+    with elapsed_time(terminal.info, LOADING, interval=LOADING_INTERVAL):
+        from kraft_cli.tables import show_rows
+        from kraft_cli.work.realtime import realtime_json, realtime_table, run_in_real_time
+        from kraft_cli.work.run_folder import SCHEMA
 
     run = run_in_real_time(request, terminal.info, terminal.problem, terminal.detail)
     success = run.outcome == "success"

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.config.overrides import parse_overrides
+from kraft.elapsed import elapsed_time
 from kraft.errors import Code, Defect, Diagnostic, Problems
 from kraft.gl import check_video_file
 from kraft.robot.priority import leave_signals_to_planner, process_context
@@ -79,7 +80,9 @@ def run_in_real_time(
             request.scenario, robot, request.vehicle, request.seed, request.settings, 1.0, outputs.video, outputs.view,
             driver=f"{files.method.title}, on the wall clock",
         )  # fmt: skip
+        report("starting the simulated robot, a process of its own ...")
         with _world(simulated, report) as ended:
+            report("the simulated robot is there: starting the drive ...")
             driven = drive_robot(asked, report, problem, detail)
             return RealtimeRun(request, driven, ended())
 
@@ -132,8 +135,9 @@ def _world(request: WorldRequest, report: Callable[[str], None]) -> Iterator[Cal
     process.start()
     there.close()
     try:
-        if not here.poll(OPENING_TIME):
-            raise Defect("the simulated robot has not started")
+        with elapsed_time(report, "waiting for the simulated robot"):
+            if not here.poll(OPENING_TIME):
+                raise Defect("the simulated robot has not started")
         _received(here)
 
         def ended() -> WorldResult:

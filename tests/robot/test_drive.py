@@ -14,6 +14,8 @@ import sys
 import termios
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -423,3 +425,21 @@ def test_what_is_driven_is_never_removed(
     with pytest.raises(type(error), match=str(error)):
         work.drive_robot(request, print, print, print)
     assert (tmp_path / "out" / "manifest.json").exists() == (tmp_path / "out").exists() == kept
+
+
+def test_a_run_on_the_wall_clock_says_what_it_waits_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    @contextmanager
+    def opened(*_: object) -> Iterator[None]:
+        assert "starting the simulated robot" in capsys.readouterr().err
+        yield None
+
+    def driven(*_: object) -> None:
+        assert "the simulated robot is there" in capsys.readouterr().err
+        raise InputError.of("here", "ends the test", "expected nothing more")
+
+    monkeypatch.setattr("kraft_cli.work.realtime._world", opened)
+    monkeypatch.setattr("kraft_cli.work.realtime.drive_robot", driven)
+    assert main(["run", "turns", "--realtime"]) == 2
+    assert "here: ends the test" in capsys.readouterr().err
