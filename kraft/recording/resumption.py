@@ -66,7 +66,7 @@ def finished_runs(folder: Path) -> dict[int, FinishedRun]:
 
 
 def check_same_recording(finished: Iterable[FinishedRun], described: Mapping[str, Any], runs: int) -> None:
-    """Check that runs are those of one recording of so many `runs`.
+    """Check that runs are those of one recording of so many `runs`, or the first ones of one that had fewer.
 
     `described` are the keys that all its manifests have.
 
@@ -90,9 +90,21 @@ def check_same_recording(finished: Iterable[FinishedRun], described: Mapping[str
 def _differences(run: FinishedRun, now: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Key and text of each difference of a manifest; of its arguments alone, if they are others."""
     was = {key: value for key, value in run.manifest.items() if key in now}
+    if _is_continued(was["arguments"], now["arguments"]):
+        was = {**was, "arguments": {**was["arguments"], "runs": now["arguments"]["runs"]}}
     given = list(differences(was["arguments"], now["arguments"], ("arguments",)))
     for keys, before, after in given or differences(was, dict(now)):
         yield ".".join(keys), difference_text(before, after)
+
+
+def _is_continued(was: Mapping[str, Any], now: Mapping[str, Any]) -> bool:
+    """Whether there are more runs now, of which those that there were are the first ones, the same bit by bit.
+
+    A random run and a planned drive depend on their number and on those before them alone; files of commands are as
+    many as the runs.
+    """
+    before, after = was.get("runs"), now["runs"]
+    return isinstance(before, int) and before < after and not {"commands"} & {*was, *now}
 
 
 def check_same_commands(run: FinishedRun, manoeuvre: Manoeuvre) -> None:

@@ -44,7 +44,11 @@ Bag = Annotated[
 ]
 
 Resume = Annotated[
-    bool, typer.Option("--resume", help="Continue an interrupted recording in LOGS, with the same options.")
+    bool,
+    typer.Option(
+        "--resume",
+        help="Continue the recording in LOGS with the same options, or more --runs.",
+    ),
 ]
 
 

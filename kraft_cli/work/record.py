@@ -139,8 +139,8 @@ def _recorded_arguments(folder: Path) -> dict[str, Any]:
     """Arguments of an interrupted recording; none if it was interrupted before its first run."""
     from kraft.recording.resumption import finished_runs  # loads the simulator
 
-    runs = finished_runs(folder)
-    return dict(next(iter(runs.values())).manifest["arguments"]) if runs else {}
+    recorded = [dict(run.manifest["arguments"]) for run in finished_runs(folder).values()]
+    return max(recorded, key=lambda arguments: arguments.get("runs", 0), default={})  # it may have got more runs
 
 
 def record_logs(

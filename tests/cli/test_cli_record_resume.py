@@ -95,6 +95,17 @@ def test_a_recording_that_is_complete_is_not_driven_again(
     assert contents(folder) == before
 
 
+def test_a_recording_gets_more_runs_and_keeps_its_own(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert main(["record", "--runs", "1", "--seed", "3", "-q"]) == 0
+    assert main(["record", "--runs", "3", "--seed", "3", "--out", "whole", "-q"]) == 0
+    interrupted(monkeypatch, 3, "--runs", "3", "--resume")
+    assert main(["record", "--resume", "-q"]) == 0, "the larger number is remembered"
+    logs, whole = (contents(folder / name) for name in ("logs", "whole"))
+    assert logs.keys() == whole.keys()
+    other = [name for name in logs if logs[name] != whole[name]]
+    assert other == ["run_01/manifest.json"], "it says that there was one run"
+
+
 def test_a_run_that_is_missing_between_others_is_driven_again(folder: Path) -> None:
     assert main(["record", "--runs", "3", "-q"]) == 0
     before = contents(folder)
@@ -111,7 +122,7 @@ def test_other_options_are_refused_with_every_difference(folder: Path, capsys: p
     assert main(["record", *given, "--resume"]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert [line.split(": ")[:2] for line in lines if "manifest" in line] == [
-        ["logs/run_01/manifest.json", f"arguments.{key}"] for key in ("scenario", "runs", "seed", "vehicle")
+        ["logs/run_01/manifest.json", f"arguments.{key}"] for key in ("scenario", "seed", "vehicle")
     ]
     assert "arguments.seed: was 0, is 1 now; " in "".join(lines)
     assert contents(folder) == before
@@ -149,6 +160,10 @@ def test_planned_drives_are_planned_again_and_continued(folder: Path, monkeypatc
     interrupted(monkeypatch, 2, *arguments, "-q")
     assert main(["record", "--resume", "-q"]) == 0
     assert contents(folder / "logs") == contents(folder / "whole")
+    assert main(["record", "--for", "mushr-lag", "--runs", "1", "--out", "more", "-q"]) == 0
+    assert main(["record", "--resume", "--runs", "2", "--out", "more", "-q"]) == 0
+    more, whole = (contents(folder / name) for name in ("more", "whole"))
+    assert [name for name in whole if more[name] != whole[name]] == ["run_01/manifest.json"]
 
 
 def test_files_of_commands_that_were_changed_are_refused_at_the_line(
