@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from kraft_cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from kraft.evaluation import Summary
+    from kraft.evaluation import Summary, TrialRow
     from kraft.evaluation.comparison import Comparison
     from kraft.evaluation.table import Table
 
+LISTED = 10
+"""Most unsuccessful trials that are listed."""
 REMARK_MANY = "The tables of the entries, with intervals and measures, are in report.html and summary.json."
 
 
@@ -48,6 +51,43 @@ def show_tables(terminal: Terminal, summary: Summary) -> None:
         return
     together = totals(summary)
     _show_all(terminal, [*tables(summary), *([together] if together else [])], MEANINGS)
+
+
+def show_unsuccessful(terminal: Terminal, rows: Sequence[TrialRow]) -> None:
+    """Print the first `LISTED` collisions and timeouts, of methods that rarely fail first, and how many more there are.
+
+    Each has its link on the page of the results.
+    """
+    from kraft.evaluation.report.entry import trial_link
+    from kraft.text import counted
+    from kraft.trial.result import outcome_text
+
+    found = [row for row in rows if row.outcome in ("collision", "timeout")]
+    if not found:
+        return
+    counts = Counter(row.method for row in found)
+    found.sort(key=lambda row: counts[row.method])
+    cells = [
+        (
+            *map(str, row.key),
+            outcome_text(row.outcome, row.obstacle, row.t_s, digits=1),
+            "-" if row.cause is None else row.cause.kind,
+            f"report.html{trial_link(row.key)}",
+        )
+        for row in found[:LISTED]
+    ]
+    terminal.data("")
+    terminal.data(f"{counted(len(found), 'trial')} did not succeed")
+    if terminal.out.isatty():
+        from rich.console import Console
+
+        console = Console(file=terminal.out, highlight=False, markup=False)
+        for entry, method, seed, outcome, cause, replay in cells:  # wrapped: columns would be left out
+            console.print(f"{entry}, {method}, seed {seed}: {outcome} ({cause}), {replay}", overflow="fold")
+    else:
+        terminal.table(("entry", "method", "seed", "outcome", "cause", "replay"), cells)
+    if len(found) > LISTED:
+        terminal.data(f"and {len(found) - LISTED} more, which the page has")
 
 
 def show_comparison(terminal: Terminal, comparison: Comparison) -> None:

@@ -119,13 +119,14 @@ def eval_(
 def _print_results(terminal: Terminal, evaluation: Evaluation, json: bool) -> ExitStatus:
     from kraft.evaluation.summary import SCHEMA, evaluation_json
     from kraft.text import counted
-    from kraft_cli.tables import show_tables
+    from kraft_cli.tables import show_tables, show_unsuccessful
 
     if json:
         content = {**evaluation_json(evaluation.summary), "folder": str(evaluation.folder)}
         terminal.json(SCHEMA, content)
     else:
         show_tables(terminal, evaluation.summary)
+        show_unsuccessful(terminal, evaluation.rows)
         terminal.info(f"results in {evaluation.folder}; page: {evaluation.folder}/report.html")
     failed = [row for row in evaluation.rows if row.outcome == "failed"]
     for row in failed:

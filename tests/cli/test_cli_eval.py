@@ -22,6 +22,7 @@ from kraft.evaluation.table import COLUMNS, MEANINGS
 from kraft_cli.main import main
 from kraft_cli.progress import Interrupts, Progress
 from kraft_cli.signals import Stopped
+from kraft_cli.tables import REMARK_MANY
 from kraft_cli.terminal import Terminal
 
 EVAL = (ROOT / "docs" / "eval.md").read_text(encoding="utf-8")
@@ -53,6 +54,25 @@ def test_real_trials_are_the_same_with_two_workers_and_in_this_process(
     assert all(line["digest"] and line["seed"] == 3 and line["measured"]["planning_ms"] for line in lines)
     assert content["results"][0]["planning_ms_p99"] > 0
     assert content["results"][0]["cycles"] > 5
+
+
+def test_ten_unsuccessful_trials_are_listed_with_their_replays(
+    inline: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["eval", "turns", "--methods", "kraft,oneshot-openloop", "--trials", "20", "--out", "o"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (begin,) = (k for k, line in enumerate(lines) if line.endswith("trials did not succeed"))
+    rows = [json.loads(line) for line in Path("o/trials.jsonl").read_text().splitlines()]
+    failed = [row for row in rows if row["outcome"] != "success"]
+    assert len(failed) > 10, "otherwise this test shows nothing"
+    assert lines[begin].startswith(f"{len(failed)} trials ")
+    assert lines[begin + 1].split() == ["entry", "method", "seed", "outcome", "cause", "replay"]
+    for line in lines[begin + 2 : begin + 12]:
+        entry, method, seed = line.split()[:3]
+        assert line.endswith(f"report.html#trial={entry}/{method}/{seed}")
+        (row,) = (row for row in failed if (row["method"], row["seed"]) == (method, int(seed)))
+        assert f"  {row['outcome']}" in line
+    assert lines[begin + 12] == f"and {len(failed) - 10} more, which the page has"
 
 
 def test_without_arguments_it_runs_six_scenes_and_seven_methods_thirty_times(
@@ -133,7 +153,7 @@ def test_many_entries_get_one_table_with_totals(inline: None, capsys: pytest.Cap
     assert [cell for row in cells[1:-1] for cell in row[1:]] == counts
     mine = [r for r in results if r["method"] == "kraft"]
     assert cells[-1][1] == "/".join(str(sum(r[name] for r in mine)) for name in ("success", "collision", "timeout"))
-    assert len(lines) == 14
+    assert lines[15].endswith("trials did not succeed")
 
 
 def test_the_table_of_many_entries_fits_a_terminal(inline: None, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,7 +162,7 @@ def test_the_table_of_many_entries_fits_a_terminal(inline: None, monkeypatch: py
         out, err = Screen(), Screen()
         assert main([*SWEEP, "--out", f"o{width}"], Terminal(out, err)) == 0
         lines = [re.sub(r"\033\[[\d;?]*[A-Za-z]", "", line) for line in out.getvalue().splitlines()]
-        assert max(len(line) for line in lines[:-1]) <= width
+        assert max(len(line) for line in lines if line != REMARK_MANY) <= width
         assert (sum("┬" in line for line in lines) == 1) == (width > 40)  # otherwise several tables
         assert "…" not in out.getvalue()
 
