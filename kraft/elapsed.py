@@ -37,3 +37,10 @@ def elapsed_time(log: Log, what: str, *, interval: float | None = None, before: 
     finally:
         ended.set()
         thread.join()
+
+
+@contextmanager
+def loading(log: Log) -> Iterator[None]:
+    """Context in which modules are loaded and files are checked, which is reported if it takes long."""
+    with elapsed_time(log, LOADING, interval=LOADING_INTERVAL):
+        yield

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from kraft.elapsed import LOADING, LOADING_INTERVAL, elapsed_time
+from kraft.elapsed import loading
 from kraft.evaluation import Experiment, Observer, TrialRow
 from kraft.evaluation.journal import Key
 from kraft.text import counted
@@ -51,7 +51,7 @@ class Progress(Observer):
 
     def __enter__(self) -> Progress:
         """Print that modules are loaded and files are checked if that takes long, until the first message."""
-        self._loading.enter_context(elapsed_time(self._terminal.info, LOADING, interval=LOADING_INTERVAL))
+        self._loading.enter_context(loading(self._terminal.info))
         return self
 
     def __exit__(self, kind: type[BaseException] | None, _: BaseException | None, __: TracebackType | None) -> None:

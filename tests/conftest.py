@@ -105,3 +105,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def _compile(names: Sequence[str]) -> None:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS), *sys.path])}
     subprocess.run([sys.executable, "-c", COMPILE, *names], cwd=ROOT, env=environment, check=True)
+
+
+@pytest.fixture(autouse=True)
+def no_word_of_loading(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command on a busy machine says no more than on an idle one; only this depends on the time that it takes."""
+    monkeypatch.setattr("kraft.elapsed.LOADING_INTERVAL", 600.0)

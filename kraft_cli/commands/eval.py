@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kraft.elapsed import LOADING, LOADING_INTERVAL, elapsed_time
+from kraft.elapsed import loading
 from kraft_cli import completion
 from kraft_cli.commands.options import Json, PlanningModel
 from kraft_cli.exit_status import ExitStatus
@@ -79,7 +79,7 @@ def eval_(
     Collisions are results, not errors.
     """
     terminal: Terminal = context.obj
-    with elapsed_time(terminal.info, LOADING, interval=LOADING_INTERVAL):
+    with loading(terminal.info):
         from kraft_cli.progress import Interrupts, Progress
         from kraft_cli.signals import handled
         from kraft_cli.work.evaluate import EvalRequest, complete_request, resume_command, run_evaluation

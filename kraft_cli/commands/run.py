@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kraft.elapsed import LOADING, LOADING_INTERVAL, elapsed_time
+from kraft.elapsed import loading
 from kraft_cli import completion
 from kraft_cli.commands.options import Json, PlanningModel, ScenarioName, Set
 from kraft_cli.exit_status import ExitStatus
@@ -56,7 +56,7 @@ def run(
     The exit code is 1 if the goal is not reached.
     """
     terminal: Terminal = context.obj
-    with elapsed_time(terminal.info, LOADING, interval=LOADING_INTERVAL):
+    with loading(terminal.info):
         from kraft.trial.result import Outcome
         from kraft_cli.tables import show_rows
         from kraft_cli.work.run import RunRequest, cycle_line, run_json, run_scenario, run_table
@@ -78,7 +78,7 @@ def run(
 
 
 def _run_in_real_time(terminal: Terminal, request: RunRequest, json: bool) -> ExitStatus:
-    with elapsed_time(terminal.info, LOADING, interval=LOADING_INTERVAL):
+    with loading(terminal.info):
         from kraft_cli.tables import show_rows
         from kraft_cli.work.realtime import realtime_json, realtime_table, run_in_real_time
         from kraft_cli.work.run_folder import SCHEMA

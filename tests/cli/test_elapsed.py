@@ -7,9 +7,9 @@ import threading
 
 import pytest
 
+from kraft import elapsed
 from kraft.elapsed import LOADING, elapsed_time
 from kraft.text import no_log
-from kraft_cli import progress
 from kraft_cli.progress import Interrupts, Progress
 from kraft_cli.terminal import Terminal
 
@@ -46,7 +46,7 @@ def test_an_evaluation_that_loads_for_long_says_so_until_its_first_message(monke
                 self.said.set()
             return super().write(text)
 
-    monkeypatch.setattr(progress, "LOADING_INTERVAL", 0.01)
+    monkeypatch.setattr(elapsed, "LOADING_INTERVAL", 0.01)
     terminal = Terminal(err=Noticed())
     with Progress(terminal, Interrupts(terminal)) as shown:
         assert Noticed.said.wait(30.0)
