@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from kraft.evaluation.comparison import Comparison
     from kraft.evaluation.table import Table
 
+NUMBERS = "0123456789+-"
+"""First characters of cells that are numbers, or are in place of one."""
 LISTED = 10
 """Most unsuccessful trials that are listed."""
 REMARK_MANY = "The tables of the entries, with intervals and measures, are in report.html and summary.json."
@@ -103,9 +105,12 @@ def show_comparison(terminal: Terminal, comparison: Comparison) -> None:
 def _show_all(terminal: Terminal, tables: Sequence[Table], meanings: Mapping[str, str]) -> None:
     """Print tables, on a terminal with as many columns as fit, and below them what the shown columns hold."""
     shown: set[str] = set()
+    left_out: dict[str, None] = {}
     for table in tables:
         if terminal.out.isatty():
-            shown.update(_rich(terminal, table))
+            fitted = _rich(terminal, table)
+            shown.update(fitted)
+            left_out.update(dict.fromkeys(name for name in table.heading if name not in fitted))
             continue
         if table.title:
             terminal.data(table.title)
@@ -113,6 +118,12 @@ def _show_all(terminal: Terminal, tables: Sequence[Table], meanings: Mapping[str
         terminal.data("")
         shown.update(table.heading)
     _show_meanings(terminal, [(name, meaning) for name, meaning in meanings.items() if name in shown])
+    if left_out:
+        from rich.console import Console
+
+        console = Console(file=terminal.out, highlight=False, markup=False)
+        text = f"no room for {', '.join(left_out)}: a wider terminal, a pipe and --json have them"
+        console.print(text, style="dim", overflow="fold")
 
 
 def _show_meanings(terminal: Terminal, meanings: Sequence[tuple[str, str]]) -> None:
@@ -180,7 +191,8 @@ def _rich(terminal: Terminal, table: Table) -> Sequence[str]:
         title=table.title or None, box=box.ROUNDED, border_style="dim", title_justify="left", title_style="bold"
     )
     for number, heading in enumerate(fitted.heading):
-        grid.add_column(heading, justify="left" if number == 0 else "right", no_wrap=True)
+        numbers = number > 0 and all(row[number][:1] in NUMBERS for row in fitted.rows)
+        grid.add_column(heading, justify="right" if numbers else "left", no_wrap=True)
     for row in fitted.rows:
         grid.add_row(*row, style="bold" if row[0] == "KRAFT" else None)
     console.print(grid)

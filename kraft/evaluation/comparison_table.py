@@ -20,12 +20,12 @@ COLUMNS: Final = {
     "coll A/B": 8,
     "timeout A/B": 7,
     "failed A/B": 7,
-    "gained": 3,
-    "lost": 3,
+    "gained": 4,
+    "lost": 4,
     "p": 5,
     "both": 2,
     "dT s": 5,
-    "dT 95 % CI": 4,
+    "dT 95 % CI": 3,
     "same": 6,
 }
 """Headings and their importance, see `kraft.evaluation.table.Table`."""
@@ -41,6 +41,8 @@ MEANINGS: Final = {
 }
 """What the columns hold whose heading does not say it."""
 NAMES: Final = dict(zip(OUTCOMES, ("succ A/B", "coll A/B", "timeout A/B", "failed A/B"), strict=True))
+NONE: Final = "0/0"
+"""Cell of an outcome that no trial has: where all have it, its column is the first one that is left out."""
 MARK: Final = " *"
 """Behind the name of an entry whose scenario is not the same in both evaluations."""
 DIFFERENCES_MAX: Final = 20
@@ -92,7 +94,8 @@ def remarks(comparison: Comparison) -> Iterator[str]:
 def _table(title: str, rows: Sequence[PairedRow], left_out: set[str]) -> Table:
     names = [name for name in COLUMNS if name not in left_out]
     cells = [_cells(row) for row in rows]
-    importance = tuple(COLUMNS[name] for name in names)
+    never = {name for name in ("coll A/B", "timeout A/B") if all(row[name] == NONE for row in cells)}
+    importance = tuple(0 if name in never else COLUMNS[name] for name in names)
     return Table(title, tuple(names), tuple(tuple(row[name] for name in names) for row in cells), importance)
 
 

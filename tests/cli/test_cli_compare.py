@@ -58,6 +58,10 @@ def test_a_terminal_gets_a_table_that_fits(monkeypatch: pytest.MonkeyPatch) -> N
         assert table
         assert max(len(line) for line in table) <= width
         assert ("lost" in table[1]) == (width == 160)
+        assert ("no room for" in out.getvalue()) == (width == 60)
+        names = [cells[2] for line in table if len(cells := line.split("│")) > 2 and "KRAFT" in cells[2]]
+        assert names
+        assert all(name.startswith(" KRAFT ") for name in names), "text is aligned to the left"
 
 
 def test_every_key_and_every_column_is_described(capsys: pytest.CaptureFixture[str]) -> None:
