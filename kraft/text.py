@@ -55,7 +55,7 @@ def nearest(word: str, options: Iterable[str]) -> str | None:
     for candidate, option in folded.items():  # a missing unit: yaw for yaw_deg
         if candidate.startswith(f"{_folded(word)}-"):
             return option
-    close = get_close_matches(_folded(word)[:100], folded, n=1, cutoff=0.65)
+    close = get_close_matches(_folded(word)[:100], folded, n=1, cutoff=0.7)
     return folded[close[0]] if close else None
 
 
