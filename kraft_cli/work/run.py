@@ -270,8 +270,8 @@ def measures_table(measures: Measures, contingencies: int) -> list[tuple[str, st
         rows.append(
             (
                 "covariance",
-                f"normalised squared error of a pose {consistency.mean:.1f} on average (3 if consistent), "
-                f"{consistency.share:.0%} of the poses within {low:.2g} to {high:.2g} (95 % if consistent)",
+                f"normalised squared error {consistency.mean:.1f} on average (3 if the stated covariance is right); "
+                f"{consistency.share:.0%} of poses in its 95 % band, {low:.2g} to {high:.2g}",
             )
         )
     return rows

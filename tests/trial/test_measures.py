@@ -111,8 +111,8 @@ def test_the_share_in_the_band_is_told_with_the_band() -> None:
     (row,) = measures_table(measure([], [], FOOTPRINT, POSE, errors_squared=[1.0, 3.0, 5.0, 20.0]), 0)
     assert row == (
         "covariance",
-        "normalised squared error of a pose 7.2 on average (3 if consistent), 75% of the poses within 0.22 to 9.3 "
-        "(95 % if consistent)",
+        "normalised squared error 7.2 on average (3 if the stated covariance is right); 75% of poses in its 95 % band, "
+        "0.22 to 9.3",
     )
 
 
