@@ -55,7 +55,10 @@ def nearest(word: str, options: Iterable[str]) -> str | None:
     for candidate, option in folded.items():  # a missing unit: yaw for yaw_deg
         if candidate.startswith(f"{_folded(word)}-"):
             return option
-    close = get_close_matches(_folded(word)[:100], folded, n=1, cutoff=0.7)
+    own = _folded(word)[:100]
+    near = get_close_matches(own, folded, n=3, cutoff=0.65)
+    alike = [each for each in near if each[0] == own[0]]  # few slips change the first letter, and then no other
+    close = [*get_close_matches(own, near, n=1, cutoff=0.75), *alike]
     return folded[close[0]] if close else None
 
 

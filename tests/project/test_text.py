@@ -41,6 +41,8 @@ def test_slugs_of_long_names_fit_into_names_of_files_and_differ() -> None:
     assert max(len(each.encode()) for each in found) < 120
 
 
-@pytest.mark.parametrize(("word", "option"), [("nope", None), ("trns", "turns"), ("bumb", "bump"), ("slop", "slope")])
+@pytest.mark.parametrize(
+    ("word", "option"), [("nope", None), ("trun", "turns"), ("urns", "turns"), ("bumb", "bump"), ("slop", "slope")]
+)
 def test_what_is_suggested_is_spelt_alike(word: str, option: str | None) -> None:
     assert nearest(word, ["turns", "boxes", "bump", "slope", "slip", "movable"]) == option
