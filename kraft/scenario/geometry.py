@@ -110,6 +110,16 @@ class OccupancyMap:
         return OccupancyMap(self.occupied[rows, columns], self.resolution, origin, self.height, self.name)
 
     @property
+    def corners(self) -> NDArray[np.float64]:
+        """Corners (4, 2) of the whole map, counter-clockwise from its origin, m."""
+        x0, y0, yaw = self.origin
+        c, s = math.cos(yaw), math.sin(yaw)
+        rows, columns = self.occupied.shape
+        along = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]]) * self.resolution
+        placed: NDArray[np.float64] = along @ np.array([[c, s], [-s, c]]) + (x0, y0)
+        return placed
+
+    @property
     def grid(self) -> OccupancyGrid:
         """Grid for the planner."""
         return OccupancyGrid(self.occupied, self.resolution, self.origin)

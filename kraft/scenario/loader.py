@@ -41,6 +41,7 @@ from kraft.scenario.schema import (
     StartFile,
 )  # fmt: skip
 from kraft.scenario.truth import Truth
+from kraft.scenario.unmapped import unmapped
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from kraft.vehicles.true_robot import with_files
 
@@ -90,7 +91,10 @@ def scenario_from(document: Document, folder: Path) -> Scenario:
         name=content.name,
         description=" ".join(content.description.split()),
         bounds=content.bounds,
-        obstacles=tuple(_obstacle(entry, maps.get(i)) for i, entry in enumerate(content.obstacles)),
+        obstacles=(
+            *(_obstacle(entry, maps.get(i)) for i, entry in enumerate(content.obstacles)),
+            *_unmapped(content, tuple(maps.values())),
+        ),
         start=_start(content.start),
         goal=_goal(content.goal),
         vehicle=vehicle,
@@ -195,6 +199,12 @@ def _at(data: Value, path: tuple[str, ...], default: Value = None) -> Value:
             return default
         data = data[key]
     return data
+
+
+def _unmapped(content: ScenarioFile, maps: Sequence[OccupancyMap]) -> tuple[Polygon, ...]:
+    """Obstacles where no map says what is there, unless all maps say that it is free; none without a map."""
+    occupied = [each.map.height for each in content.obstacles if each.map and each.map.outside == "occupied"]
+    return unmapped(content.bounds, maps, max(occupied)) if occupied else ()
 
 
 def _obstacle(entry: ObstacleFile, occupancy: OccupancyMap | None) -> Obstacle:

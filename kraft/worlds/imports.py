@@ -18,12 +18,11 @@ import numpy as np
 from pydantic import Field
 
 from kraft.config.document import Document
-from kraft.config.schema import LENGTH_MIN, Coordinate, Length, StrictModel, check
+from kraft.config.schema import Coordinate, Length, StrictModel, check
 from kraft.config.source import Place, Source
 from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.files import check_new_folder
-from kraft.scenario import OccupancyMap
 from kraft.scenario.geometry import read_map
 from kraft.text import Log, alternatives, counted, no_log, suggestion
 from kraft.worlds.barn import LABEL, read_barn, worlds_in
@@ -39,7 +38,6 @@ from kraft.worlds.world import (
     resolved_argument,
     write_worlds,
 )
-from ompl_ext.arrays import Matrix
 
 KINDS: Final = ("barn", "dynobench", "map")
 ROBOT, CAR = "jackal", "mushr"
@@ -171,12 +169,9 @@ def read_occupancy(path: Path, out: Path, vehicle: str, start: Start, goal: Goal
     Raises:
         InputError: with every problem of the map.
     """
-    corners = _corners(read_map(path, height=0.2, name=None))
+    corners = np.round(read_map(path, height=0.2, name=None).corners, 6)
     (low_x, low_y), (high_x, high_y) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
     bounds = {"x": [low_x, high_x], "y": [low_y, high_y]}
-    outside = [
-        {"name": f"outside the map {k}", "polygon": {"vertices": each}} for k, each in enumerate(_outside(corners), 1)
-    ]
     world = World(
         name=plain_name(path.stem),
         remark=f"From the occupancy map {path.name}.",
@@ -184,7 +179,6 @@ def read_occupancy(path: Path, out: Path, vehicle: str, start: Start, goal: Goal
             "bounds": bounds,
             "obstacles": [
                 {"name": "map", "map": {"file": os.path.relpath(os.path.realpath(path), os.path.realpath(out))}},
-                *outside,
             ],
             "start": {"x": start[0], "y": start[1], "heading_deg": start[2]},
             "goal": {"center": list(goal[:2]), "radius": goal[2]},
@@ -199,26 +193,6 @@ def read_occupancy(path: Path, out: Path, vehicle: str, start: Start, goal: Goal
         },
     )
     return Imported(world, Counter())
-
-
-def _corners(occupancy: OccupancyMap) -> Matrix:
-    """Corners (4, 2) of a map, anticlockwise, m."""
-    x, y, yaw = occupancy.origin
-    rows, columns = occupancy.occupied.shape
-    corners = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]]) * occupancy.resolution
-    turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-    placed: Matrix = np.round(corners @ turn.T + (x, y), 6)
-    return placed
-
-
-def _outside(corners: Matrix) -> Iterator[list[list[float]]]:
-    """Triangles between a turned map and its bounds: nothing is known there."""
-    for one, other in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        along = other - one
-        if np.abs(along).min() < LENGTH_MIN:  # the edge is on the bounds
-            continue
-        right = np.array([one[0], other[1]]) if along[0] * along[1] < 0.0 else np.array([other[0], one[1]])
-        yield [one.tolist(), right.tolist(), other.tolist()]
 
 
 VEHICLES: Final = {

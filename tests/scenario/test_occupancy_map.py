@@ -143,7 +143,7 @@ def test_a_scenario_holds_the_map_it_names_and_reports_its_problems(tmp_path: Pa
     )
     (tmp_path / "maps").mkdir()
     expected = written(tmp_path / "maps", P2)
-    (grid,) = load_scenario(scene).obstacles
+    grid = load_scenario(scene).obstacles[0]
     assert isinstance(grid, OccupancyMap)
     assert np.array_equal(grid.occupied, expected.occupied)
     assert (grid.name, grid.height) == ("floor", 0.4)

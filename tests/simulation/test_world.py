@@ -28,7 +28,7 @@ obstacles:
   - box: {center: [1.5, 1.5], size: [1.2, 0.3], yaw_deg: 35}
   - {name: post, circle: {center: [4, 1.5], radius: 0.4}}
   - polygon: {vertices: [[3, 3], [5.5, 3], [5.5, 5.5], [4.5, 4]]}
-  - map: {file: map.yaml}
+  - map: {file: map.yaml, outside: free}
 start: {x: 0.5, y: 3, heading_deg: 0}
 goal: {center: [5, 2.5], radius: 0.25}
 """
