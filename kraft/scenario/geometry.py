@@ -188,6 +188,10 @@ def _meet(
 CELLS_MAX: Final = 80_000_000
 BYTES_PER_PIXEL: Final = 24  # while an image is read
 
+SAVED_UNKNOWN: Final = 205
+SAVED_GREYS: Final = {0, SAVED_UNKNOWN, 254, 255}
+"""Brightness out of 255 of the cells that map_saver writes: occupied, unknown and free (white in PNG)."""
+
 NOT_AN_IMAGE: Final = "expected the map's YAML file, whose key `image` names the image"
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
 _PGM: Final = tuple(b"P%d%c" % (kind, space) for kind in range(1, 7) for space in b" \t\r\n#")
@@ -264,9 +268,23 @@ def read_map(path: Path, *, height: float, name: str | None) -> OccupancyMap:
         free = np.round(brightness * 255) < settings.free_thresh * 100
     else:
         free = (brightness if settings.negate else 1.0 - brightness) < settings.free_thresh
+        unknown_is_free = settings.free_thresh > 1.0 - SAVED_UNKNOWN / 255
+        if unknown_is_free and settings.mode == "trinary" and not settings.negate:
+            free &= ~_saved_as_unknown(brightness)
     occupied = np.flipud(~(free & opaque)).copy()
     occupied.setflags(write=False)
     return OccupancyMap(occupied, settings.resolution, settings.origin, height, name)
+
+
+def _saved_as_unknown(brightness: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Cells [rows, columns] that map_saver wrote as unknown: of the middle one in an image of its three greys alone.
+
+    Its occupancy of 0.196 is below the free_thresh of 0.25 that the map_saver of ROS 2 writes beside it.
+    """
+    grey = np.round(brightness * 255).astype(np.uint8)
+    found = np.flatnonzero(np.bincount(grey.ravel(), minlength=256))
+    unknown: NDArray[np.bool_] = (grey == SAVED_UNKNOWN) & (set(found.tolist()) <= SAVED_GREYS)
+    return unknown
 
 
 def is_image(path: Path) -> bool:

@@ -217,3 +217,17 @@ def test_an_image_larger_than_memory_is_refused_at_its_key(tmp_path: Path, monke
         written(tmp_path, P2)
     (problem,) = error.value.diagnostics
     assert (problem.path, problem.line) == ("image", 1)
+
+
+@pytest.mark.parametrize("free", [254, 255])
+def test_an_unknown_cell_of_map_saver_is_occupied_with_the_threshold_that_ros_2_writes(
+    free: int, tmp_path: Path
+) -> None:
+    saved, settings = bytes([free, 205, 205, 0]), YAML.replace("free_thresh: 0.196", "free_thresh: 0.25")
+    image = b"P5 4 1 255\n" + saved
+    assert written(tmp_path, image, settings).occupied.tolist() == [[False, True, True, True]]
+    for other in (settings + "mode: scale\n", settings.replace("negate: 0", "negate: 1")):
+        as_ros = written(tmp_path, image, other).occupied.tolist()
+        assert as_ros == ([[False, False, False, True]] if "scale" in other else [[True, True, True, False]])
+    drawn = written(tmp_path, b"P5 4 1 255\n" + bytes([free, 205, 230, 0]), settings)
+    assert drawn.occupied.tolist() == [[False, False, False, True]]
