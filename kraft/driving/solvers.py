@@ -24,7 +24,7 @@ COVER_EXCESS: Final = 0.05
 WAY_MARGIN: Final = 0.05
 """Distance that the ways of the cost-to-go of poses keep from obstacles where they can, m."""
 LEAST_GOAL: Final = 0.5
-"""Share of a small goal's radius that is aimed for, however large the margin."""
+"""Share of a small goal's radius that is aimed for, however large the margin; of tolerances of the heading and rest."""
 MIN_GOAL_RADIUS: Final = 0.01
 """Smallest radius of the region that the planner aims for, m."""
 MIN_GOAL_TOLERANCE: Final = math.radians(1.0)
@@ -55,8 +55,7 @@ class Solvers:
 
         `more` are obstacles that the task does not have.
         """
-        goal = goal_of(task)
-        goal = replace(goal, radius=max(goal.radius - settings.goal_margin, LEAST_GOAL * goal.radius))
+        goal = aimed_for(goal_of(task), settings.goal_margin)
         workspace, safety, shape = workspace_of(task, vehicle), method_safety(settings), vehicle.footprint
         workspace = replace(workspace, obstacles=workspace.obstacles + more)
         planner = "sst" if settings.type == "sst" else "dirt"
@@ -101,6 +100,23 @@ class Solvers:
         self.checking.set_parameters(values)
         if self.planning is not self.checking:
             self.planning.set_parameters(values)
+
+
+def aimed_for(goal: Goal, margin: float) -> Goal:
+    """Region within a goal that a method with a margin (m) aims for.
+
+    The cheapest plan ends at the border of its region.  Where the goal has a heading, a vehicle that ends there beside
+    its plan needs another manoeuvre: it aims for half of the tolerance too, and of limits that include zero.
+    """
+    radius = max(goal.radius - margin, LEAST_GOAL * goal.radius)
+    if margin == 0.0 or not goal.has_heading:
+        return replace(goal, radius=radius)
+    tolerance = max(LEAST_GOAL * goal.tolerance, min(goal.tolerance, MIN_GOAL_TOLERANCE))
+    limits = {
+        name: (LEAST_GOAL * low, LEAST_GOAL * high) if low <= 0.0 <= high else (low, high)
+        for name, (low, high) in goal.limits.items()
+    }
+    return replace(goal, radius=radius, tolerance=tolerance, limits=limits)
 
 
 def goal_region(goal: Goal, vehicle: Vehicle, root: Floats) -> tuple[float, float]:

@@ -6,6 +6,7 @@ import itertools
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,13 +15,14 @@ from support.replanner import BESIDE_THE_WALL, FARSIGHTED, MARGIN, drive, mushr,
 from kraft.driving.messages import ReferenceKind, Uncertainty
 from kraft.driving.method import CalibratedBound, Clearance, PlannerSettings
 from kraft.driving.proposer import RECOVERY_MARGIN
-from kraft.driving.solvers import MIN_GOAL_RADIUS, Solvers, goal_region
+from kraft.driving.solvers import MIN_GOAL_RADIUS, Solvers, aimed_for, goal_region
 from kraft.errors import Defect
 from kraft.planning.workspace import goal_of, workspace_of
 from kraft.scenario import load_scenario
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.plan import Plan
+from ompl_ext.query import Goal
 from ompl_ext.query_tree import Progress
 from ompl_ext.solver import DirtSolver
 from ompl_ext.verification import Violation
@@ -69,6 +71,28 @@ def test_a_margin_leaves_at_least_half_of_a_goals_radius() -> None:
     goal = solvers(goal_margin=0.4).checking.goal
     assert goal is not None
     assert goal.radius == 0.5 * load_scenario("turns").goal.radius
+
+
+def test_with_a_heading_a_margin_leaves_half_of_its_tolerance_and_of_limits_of_rest() -> None:
+    limits = {"v": (-0.06, 0.04), "omega": (0.2, 0.4)}
+    goal = Goal((1.0, 5.0), 0.08, 0.5, math.radians(6.0), limits)
+    aimed = aimed_for(goal, 0.1)
+    assert (aimed.center, aimed.radius, aimed.heading) == (goal.center, 0.04, 0.5)
+    assert aimed.tolerance == pytest.approx(math.radians(3.0))
+    assert aimed.limits == {"v": (-0.03, 0.02), "omega": (0.2, 0.4)}
+    assert aimed_for(replace(goal, tolerance=math.radians(1.2)), 0.1).tolerance == pytest.approx(math.radians(1.0))
+    assert aimed_for(replace(goal, tolerance=math.radians(0.8)), 0.1).tolerance == pytest.approx(math.radians(0.8))
+    settings = PlannerSettings(mode="replanning", goal_margin=0.1)
+    parked = Solvers.of(load_scenario("parking").task(), mushr(), settings).goal
+    assert (parked.radius, parked.tolerance) == (0.025, pytest.approx(math.radians(2.5)))
+    assert parked.limits == {"v": (-0.025, 0.025)}
+
+
+def test_without_a_heading_or_a_margin_only_the_radius_is_smaller() -> None:
+    resting = Goal((1.0, 5.0), 0.3, limits={"v": (-0.05, 0.05)})
+    assert aimed_for(resting, 0.1) == replace(resting, radius=0.3 - 0.1)
+    parked = replace(resting, heading=0.5, tolerance=0.1)
+    assert aimed_for(parked, 0.0) == parked
 
 
 def test_a_plan_keeps_the_margin_to_its_end_and_the_clearance_as_far_as_foresight_reaches() -> None:
