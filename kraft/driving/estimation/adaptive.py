@@ -162,8 +162,9 @@ class AdaptiveEstimator:
 
     def _moves(self) -> bool:
         """Whether the vehicle moves, by the filter or by the poses: a filter with wrong parameters may not see it."""
-        velocities = np.abs(self._filter.posterior.mean[self._model.velocities])
-        return bool((velocities > MOVING).any()) or self._history.has_moved(self._filter.position_variance)
+        state = self._filter.posterior.mean
+        moves = any(abs(state[k]) > MOVING for k in self._model.velocities)
+        return moves or self._history.has_moved(self._filter.position_variance)
 
     def leave_out(self, begin: float, end: float) -> None:
         """Identify nothing from the time from `begin` to `end` (s), nor a change that was found with it."""

@@ -169,7 +169,8 @@ class CorrelatedFilter(PoseFilter):
     def _update(self, posterior: Posterior, pose: Observation) -> Posterior:
         """Posterior after a pose; errors that the noise does not explain are believed for a while."""
         after = super()._update(posterior, pose)
-        after = replace(after, jumped=max(posterior.jumped, after.jumped))
+        if after.jumped < posterior.jumped:
+            after = replace(after, jumped=posterior.jumped)
         error = after.mean[self._part(CORRELATED)]
         usual = len(error) if posterior.drifted else self._limit**2
         if (error**2 / np.maximum(self._correlated_variance, 1e-12)).sum() <= usual:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Final
 
 import numpy as np
@@ -194,7 +195,7 @@ class PoseFilter:
             InputError: the pose is not finite; the estimate is as before.
         """
         require_finite(observation)
-        k = bisect_right([posterior.time for posterior in self._posteriors], observation.time)
+        k = bisect_right(self._posteriors, observation.time, key=attrgetter("time"))
         if k == 0:
             return
         previous = self._posteriors[k - 1]
@@ -244,7 +245,7 @@ class PoseFilter:
     def _update(self, posterior: Posterior, pose: Observation) -> Posterior:
         """Posterior after a pose: the Kalman update, or that after an outlier."""
         mean, covariance = self._predict(posterior, pose.time)
-        self._look_at(*mean[self._pose[:2]].tolist())
+        self._look_at(float(mean[self._model.x]), float(mean[self._model.y]))
         (x, y, theta), cross_covariance, pose_covariance = self._expected(mean, covariance)
         innovation = np.array([pose.x - x, pose.y - y, math.remainder(pose.theta - theta, math.tau)])
         prior, whitened = Prior(mean, covariance, innovation, cross_covariance, pose_covariance), np.empty(3)

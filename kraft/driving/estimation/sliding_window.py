@@ -109,7 +109,7 @@ class SlidingWindow:
         """
         self.parameters = parameters
         self._length, self._step, self._iterations = length, step, iterations
-        self._process, self._control = process, control
+        self._process, self._control, self._threshold = process, control, threshold(ROBUST, 3)
         self.rho = parameters.nominal.copy()
         of_model = np.arange(len(parameters.specs)) < parameters.model_size
         self._may_change = parameters.free & of_model & [spec.unit != "m" for spec in parameters.specs]
@@ -121,6 +121,8 @@ class SlidingWindow:
     def set_std(self, k: int, std: float) -> None:
         """Set the standard deviation of the prior of parameter `k`."""
         specs = list(self.parameters.specs)
+        if specs[k].std == std:  # in most cycles: the parameters keep the arrays that they have made
+            return
         specs[k] = replace(specs[k], std=std)
         self.parameters = replace(self.parameters, specs=tuple(specs))
 
@@ -147,9 +149,9 @@ class SlidingWindow:
         graph = FastGraph(problem)
         optimum = optimise(graph, self._start(problem, drive), self._iterations)
         self.rho = optimum.point.rho
-        free = self.parameters.free
-        covariance = np.zeros((len(free), len(free)))
-        covariance[np.ix_(free, free)] = np.linalg.inv(optimum.factors.total_information[np.ix_(free, free)])
+        square = np.ix_(*2 * (self.parameters.free,))
+        covariance = np.zeros_like(optimum.factors.total_information)
+        covariance[square] = np.linalg.inv(optimum.factors.total_information[square])
         times = np.concatenate([s.part.pose_times[s.poses] for s in segments])
         found = self._with_change(graph, moving, noise, covariance)
         return Identified(*found, times, -graph.pose_residuals, self.rho.copy(), covariance)
@@ -243,7 +245,7 @@ class SlidingWindow:
         )
 
     def _noise_model(self, noise: Noise) -> NoiseModel:
-        return NoiseModel(noise, self._process, self._control, threshold(ROBUST, 3))
+        return NoiseModel(noise, self._process, self._control, self._threshold)
 
     def _segments(self, drive: RecordedDrive, moving: Sequence[tuple[float, float]], length: float) -> list[Segment]:
         """Segments of the last `length` s of motion, in the order of time."""
