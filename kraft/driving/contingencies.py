@@ -18,7 +18,7 @@ from kraft.driving.messages import ContingencyOrigin, PredictedMotion, Reference
 from kraft.driving.prediction import ClosedLoopPredictor
 from kraft.driving.references import manoeuvre_reference
 from kraft.driving.vehicle_model import VehicleModel, stop_control
-from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.poses import poses_of
 from ompl_ext.solver import DirtSolver
@@ -157,7 +157,7 @@ class ContingencyRanking:
             return
         for plan in plans:
             for leaves in (time + duration for duration in FOLLOWED if time + duration < plan.end):
-                during, followed, _ = _part(plan, time, leaves)
+                during, followed = _part(plan, time, leaves)
                 for number, states in enumerate(self._dirt.manoeuvres(followed[-1])):
                     times = self._times(leaves, states)
                     motion = _Motion(np.concatenate([during, times]), np.vstack([followed, states]))
@@ -165,8 +165,7 @@ class ContingencyRanking:
                     yield _Candidate(motion, float(times[-1]), ContingencyOrigin.PLAN_THEN_STOP, build)
             creeping = self._creeping(state, time, plan)
             if creeping is not None:
-                motion = _Motion(creeping.times, creeping.states)
-                yield _Candidate(motion, creeping.end, ContingencyOrigin.CREEPING, partial(replace, creeping))
+                yield creeping
 
     def _manoeuvre(self, number: int, time: float, states: Matrix) -> Reference:
         return manoeuvre_reference(self._dirt.vehicle, number, self._times(time, states), states)
@@ -174,15 +173,15 @@ class ContingencyRanking:
     def _after(self, plan: Reference, begin: float, number: int, leaves: float, states: Matrix) -> Reference:
         return _joined(plan, begin, self._manoeuvre(number, leaves, states))
 
-    def _creeping(self, state: Floats, time: float, plan: Reference) -> Reference | None:
+    def _creeping(self, state: Floats, time: float, plan: Reference) -> _Candidate | None:
         """Path of a plan from `time` s on, at low speed as soon as the brakes allow, then standstill.
 
         None if the plan is over, leads nowhere from here, or goes backwards within that length.
         """
-        model, step = self._model, self._dirt.safety.step
+        model = self._model
         if time >= plan.end or float(state[model.v]) <= 0.0:
             return None
-        planned, path, _ = _part(plan, time, plan.end)
+        planned, path = _part(plan, time, plan.end)
         places = np.concatenate([[0.0], np.hypot(*np.diff(path[:, [model.x, model.y]], axis=0).T).cumsum()])
         backwards = path[places <= CREEPING_LENGTH, model.v] < -BACKWARDS
         if places[-1] < NOWHERE or backwards.any():
@@ -192,12 +191,24 @@ class ContingencyRanking:
         others = model.velocities[1:]  # they stay in proportion to the speed
         states[:, others] *= (np.array(speeds) / np.maximum(states[:, model.v], speeds))[:, None]
         states[:, model.v] = speeds
-        times: Floats = time + step * np.arange(len(states), dtype=float)
-        at = np.interp(arc_lengths[:-1], places, planned)
-        pairs = zip(at, states[:-1], states[1:], strict=True)
+        times, stop = self._times(time, states), self._dirt.manoeuvres(states[-1])[0]
+        stopping = self._times(float(times[-1]), stop)
+        motion = _Motion(np.concatenate([times[:-1], stopping]), np.vstack([states[:-1], stop]))
+        planned_at = np.interp(arc_lengths[:-1], places, planned)
+        build = partial(self._creeping_reference, plan, _Motion(times, states), planned_at, stop)
+        return _Candidate(motion, float(stopping[-1]), ContingencyOrigin.CREEPING, build)
+
+    def _creeping_reference(self, plan: Reference, creeping: _Motion, planned_at: Floats, stop: Matrix) -> Reference:
+        """Reference of a creeping motion and the stop (m, nx) after it; its steps follow what is planned at times (n,).
+
+        Its controls take longer than the motion, and few candidates are tracked.
+        """
+        model, (times, states) = self._model, creeping
+        pairs = zip(planned_at, states[:-1], states[1:], strict=True)
+        step = self._dirt.safety.step
         controls = np.array([model.control_to(x, plan.control_at(float(t)), after, step) for t, x, after in pairs])
         moving = Reference(ReferenceKind.PLAN, times, states, controls, plan.rest)
-        return _joined(moving, time, self._manoeuvre(0, float(times[-1]), self._dirt.manoeuvres(states[-1])[0]))
+        return _joined(moving, float(times[0]), self._manoeuvre(0, float(times[-1]), stop))
 
     def _creeping_speeds(self, state: Floats, length: float) -> tuple[list[float], list[float]]:
         """Speeds (m/s) and arc lengths (m) up to `length`, one for each step: braking first, then creeping."""
@@ -231,18 +242,22 @@ def _rounded(slack: float) -> int:
     return round(slack * RESOLUTION)
 
 
-def _part(plan: Reference, begin: float, end: float) -> tuple[Floats, Matrix, Matrix]:
-    """Times, states and controls of a reference between two times (s)."""
-    inner = np.flatnonzero((plan.times > begin + 1e-6) & (plan.times < end - 1e-6))
+def _part(plan: Reference, begin: float, end: float) -> _Motion:
+    """Times and states of a reference between two times (s)."""
+    inner = _between(plan, begin, end)
     times: Floats = np.concatenate([[begin], plan.times[inner], [end]])
-    states = np.vstack([plan.state_at(begin), plan.states[inner], plan.state_at(end)])
-    controls = np.vstack([plan.control_at(begin), plan.controls[inner]])
-    return times, states, controls
+    return _Motion(times, np.vstack([plan.state_at(begin), plan.states[inner], plan.state_at(end)]))
+
+
+def _between(plan: Reference, begin: float, end: float) -> Ints:
+    """Numbers of the samples of a reference between two times (s)."""
+    return np.flatnonzero((plan.times > begin + 1e-6) & (plan.times < end - 1e-6))
 
 
 def _joined(plan: Reference, begin: float, stop: Reference) -> Reference:
     """A plan from `begin` s on until a manoeuvre begins, and that manoeuvre."""
-    times, states, controls = _part(plan, begin, stop.start)
+    times, states = _part(plan, begin, stop.start)
+    controls = np.vstack([plan.control_at(begin), plan.controls[_between(plan, begin, stop.start)]])
     return Reference(
         ReferenceKind.CONTINGENCY,
         np.concatenate([times[:-1], stop.times]),
