@@ -96,7 +96,9 @@ class Solvers:
             dirt.set_bound(asked.delta, asked.delta_per_speed, asked.delta_per_time, asked.delta_horizon)
 
     def set_parameters(self, values: Floats) -> None:
-        """Set the parameters of the vehicle (np,) in both."""
+        """Set the parameters of the vehicle (np,) in both; in most cycles they are those that these have."""
+        if np.array_equal(self.checking.problem.parameters[: len(values)], values):
+            return
         self.checking.set_parameters(values)
         if self.planning is not self.checking:
             self.planning.set_parameters(values)

@@ -175,7 +175,10 @@ class World:
     @property
     def movable_poses(self) -> Matrix:
         """Centre (m) and heading (rad) of each movable box in the floor's frame, (n, 3)."""
-        return np.array([self._planar(box) for box in self._movable]).reshape(-1, 3)
+        poses = np.empty((len(self._movable), 3))
+        for k, box in enumerate(self._movable):
+            poses[k] = self._planar(box)
+        return poses
 
     @property
     def collision(self) -> Collision | None:

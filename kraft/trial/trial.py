@@ -203,7 +203,7 @@ class _Trial:
         pose = self._true_pose
         self.approach.add(*pose)
         stopping = self._on_board.is_stopping
-        boxes = tuple((float(x), float(y), float(theta)) for x, y, theta in world.movable_poses)
+        boxes = tuple((x, y, theta) for x, y, theta in world.movable_poses.tolist())
         ahead = estimate.time - now
         step = Step(now, pose, world.speed, estimate.state, command, len(log.cycles) - 1, stopping, ahead, boxes)
         log.steps.append(step)

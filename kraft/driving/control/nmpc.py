@@ -162,7 +162,11 @@ class NmpcController:
             cruise = settings.cruise * model.vehicle.top_speed
             wanted = along[int(away.argmin())] + cruise * ahead
             speeds = np.full(len(ahead), cruise)
-        return np.column_stack([*(np.interp(wanted, along, each) for each in (x, y, theta)), speeds])
+        targets = np.empty((settings.steps, 4))
+        for k, each in enumerate((x, y, theta)):
+            targets[:, k] = np.interp(wanted, along, each)
+        targets[:, 3] = speeds
+        return targets
 
     def _path_of(self, reference: Reference) -> tuple[Floats, ...]:
         """Times of a plan or lengths along a path (m,), x, y, heading and speed there; kept while it is the same."""
@@ -257,7 +261,7 @@ class _Problem:
             np.concatenate([guess.states[1:].ravel(), guess.controls.ravel(), np.zeros(n)]),
             np.concatenate([guess.states[0], parameters, targets.ravel(), planes.ravel(), last]),
         )
-        states = np.vstack([guess.states[:1], values[: nx * n].reshape(n, nx)])
+        states = np.concatenate([guess.states[0], values[: nx * n]]).reshape(n + 1, nx)
         return Solution(states, values[nx * n : (nx + nu) * n].reshape(n, nu), cost, solved)
 
 
