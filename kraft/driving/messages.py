@@ -11,13 +11,16 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
 from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.obstacles import Polygon
+from ompl_ext.exact import ExactClearance
+from ompl_ext.obstacles import Polygon, Workspace
 from ompl_ext.plan import TreeView
+from ompl_ext.vehicle import Footprint
 
 
 @dataclass(frozen=True)
@@ -215,13 +218,27 @@ class PredictedMotion:
 
 
 @dataclass(frozen=True)
+class Passage:
+    """Poses (n, 3) of a vehicle past the obstacles of a workspace."""
+
+    workspace: Workspace
+    footprint: Footprint
+    poses: Matrix
+
+    @cached_property
+    def clearance(self) -> float:
+        """Smallest distance to an obstacle (m), measured when it is asked for: of most cycles nobody does."""
+        return ExactClearance(self.workspace, self.footprint).least_distance(self.poses)
+
+
+@dataclass(frozen=True)
 class Cycle:
     """One replanning cycle: the committed reference, the reason for a contingency, and the effort of planning.
 
     `time` is the start of the cycle (s), from which on the controller tracks `reference`.  `cost_to_goal` is the
     predicted time to the goal (s): that of the committed plan, plus the cost-to-go from its end if the plan does not
-    reach the goal; without a plan it is infinite.  `predicted` is the predicted motion within the cycle and `clearance`
-    its smallest distance to an obstacle (m).  `lost` is why the remainder of the last plan was not retained when this
+    reach the goal; without a plan it is infinite.  `predicted` is the predicted motion within the cycle and `passage`
+    its poses among the obstacles.  `lost` is why the remainder of the last plan was not retained when this
     plan was made, `switch_refused` whether a better plan that goes another way was refused.  `contingency_origin` is
     None if a plan is committed.  `planning_ms` is measured; all other fields are reproducible.  `tree` is None unless
     trees are kept.
@@ -238,7 +255,7 @@ class Cycle:
     speed: float
     reason: str
     cost_to_goal: float
-    clearance: float
+    passage: Passage
     iterations: int
     nodes: int
     retained: int
@@ -264,6 +281,11 @@ class Cycle:
     def kind(self) -> ReferenceKind:
         """Whether a plan or a contingency is committed."""
         return self.reference.kind
+
+    @property
+    def clearance(self) -> float:
+        """Smallest distance of the predicted motion within the cycle to an obstacle, m."""
+        return self.passage.clearance
 
     @property
     def commitment(self) -> Commitment:

@@ -23,6 +23,7 @@ from kraft.driving.messages import (  # fmt: skip
     ContingencyOrigin,
     Cycle,
     Estimate,
+    Passage,
     PredictedMotion,
     Reference,
     ReferenceKind,
@@ -440,14 +441,13 @@ class Replanner:
 
     def _record(self, decision: Decision, cycle_start: float, estimate: Estimate) -> Cycle:
         vehicle, plan, proposal, stopping = self.dirt.vehicle, decision.plan, self._proposal, decision.stopping
-        poses = poses_of(decision.predicted.states, vehicle)
         return Cycle(
             number=self._number,
             time=cycle_start,
             speed=float(estimate.state[vehicle.rest_indices[0]]),
             reason=decision.reason,
             cost_to_goal=plan.total_cost if plan else math.inf,
-            clearance=self.dirt.least_distance(poses),
+            passage=Passage(self.dirt.workspace, vehicle.footprint, poses_of(decision.predicted.states, vehicle)),
             iterations=proposal.iterations,
             nodes=proposal.nodes,
             retained=proposal.retained,

@@ -20,6 +20,7 @@ from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import CarModel
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import box
+from ompl_ext.poses import poses_of
 
 
 def test_the_first_cycle_executes_the_plan_made_before_the_clock_ran() -> None:
@@ -28,6 +29,13 @@ def test_the_first_cycle_executes_the_plan_made_before_the_clock_ran() -> None:
     assert first.reference.start == 0.0
     np.testing.assert_array_equal(first.reference.states[0], start())
     assert first.reference.end == pytest.approx(first.cost_to_goal)
+
+
+def test_the_clearance_of_a_cycle_is_that_of_its_predicted_motion_whenever_it_is_asked_for() -> None:
+    subject = replanner()
+    for cycle in drive(subject, 3):
+        poses = poses_of(cycle.predicted.states, subject.dirt.vehicle)
+        assert cycle.clearance == subject.dirt.least_distance(poses) > 0.0
 
 
 @pytest.mark.parametrize("tracking", [False, True])

@@ -23,6 +23,7 @@ from kraft.evaluation.journal import TrialRow
 from kraft.text import Log
 from kraft.trial.measures import Step
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
+from support.passages import passage
 
 LEFT = "KRAFT_TEST_FOLDER"
 """environment variable: folder in which trials leave what the next ones find"""
@@ -148,7 +149,7 @@ def cycle(number: int, kind: str) -> Cycle:
     reference = Reference(ReferenceKind(kind), np.array([0.0, 1.0]), np.zeros((2, 4)), np.zeros((1, 2)), np.zeros(2))
     fields = {
         "number": number, "time": float(number), "speed": 0.5, "reason": "because",
-        "cost_to_goal": math.inf if kind == "contingency" else 9.0, "clearance": 0.1, "iterations": 1000, "nodes": 50,
+        "cost_to_goal": math.inf if kind == "contingency" else 9.0, "passage": passage(0.1), "iterations": 1000, "nodes": 50,
         "retained": 3, "planning_ms": 4.0 + number, "missed": number == 3, "reference": reference, "contingency": None,
         "predicted": PredictedMotion(np.array([0.0, 1.0]), np.zeros((2, 4)), 0.1),
     }  # fmt: skip

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.passages import passage
 
 from kraft.driving.messages import ContingencyOrigin, Cycle, PredictedMotion, Reference, ReferenceKind
 from kraft.scenario import Goal
@@ -28,7 +29,7 @@ def cycle(number: int, **changes: Any) -> Cycle:
     reference = Reference(changes.pop("kind", PLAN), times, states, np.zeros((10, 2)), np.zeros(2))
     fields: dict[str, Any] = {
         "number": number, "time": float(number), "speed": 1.0, "reason": "", "cost_to_goal": 5.0,
-        "clearance": 0.1, "iterations": 100, "nodes": 50, "retained": 0, "planning_ms": 4.0, "missed": False,
+        "passage": passage(0.1), "iterations": 100, "nodes": 50, "retained": 0, "planning_ms": 4.0, "missed": False,
         "reference": reference, "contingency": None, "predicted": PredictedMotion(times, states, 0.1),
         "decided": float(number),
     }  # fmt: skip
@@ -70,8 +71,8 @@ def timed_out(cycles: list[Cycle], ticks: list[Step], realtime: bool = False) ->
         ({}, {"aside": 0.5, "wrong": 0.1}, CauseKind.DEVIATION),
         ({}, {"aside": 0.5, "wrong": 0.4}, CauseKind.ESTIMATE_WRONG),
         ({}, {"aside": 0.05}, CauseKind.UNSAFE_PLAN),
-        ({"clearance": 0.0}, {"aside": 0.5}, CauseKind.UNSAFE_PLAN),
-        ({"kind": STOP, "clearance": 0.0}, {}, CauseKind.CONTINGENCY_TOO_LATE),
+        ({"passage": passage(0.0)}, {"aside": 0.5}, CauseKind.UNSAFE_PLAN),
+        ({"kind": STOP, "passage": passage(0.0)}, {}, CauseKind.CONTINGENCY_TOO_LATE),
         ({"kind": STOP, "contingency_origin": ContingencyOrigin.EMERGENCY}, {"aside": 9.0}, CauseKind.CONTINGENCY_TOO_LATE),
         ({"kind": STOP, "contingency_origin": ContingencyOrigin.SAFE}, {"aside": 0.5}, CauseKind.DEVIATION),
         ({"delivered": False}, {"aside": 0.5}, CauseKind.MESSAGE_LOST),

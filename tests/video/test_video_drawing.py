@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from support.passages import passage
 
 from kraft.driving.messages import Cycle, PredictedMotion, Reference, ReferenceKind
 from kraft.driving.method import load_method
@@ -103,7 +104,7 @@ def cycle(kind: ReferenceKind, nodes: int, time: float = 0.0) -> Cycle:
         np.zeros((nodes, len(MUSHR.state))), np.arange(nodes) - 1, np.zeros((nodes, 2)), *np.zeros((3, nodes))
     )
     predicted = PredictedMotion(times[:11], states[:11], 0.1)
-    return Cycle(1, time, 0.0, "", 2.0, 0.1, 9, nodes, 0, 1.0, False, reference, safe, predicted, tree=view)
+    return Cycle(1, time, 0.0, "", 2.0, passage(0.1), 9, nodes, 0, 1.0, False, reference, safe, predicted, tree=view)
 
 
 def test_a_plan_is_drawn_with_its_tree_and_a_contingency_without_a_plan() -> None:
