@@ -132,8 +132,7 @@ class PlannerSettings(StrictModel):
     margin: NonNegative = 0.0
     """distance that every part of a plan keeps from obstacles: the footprint is planned that much larger, m"""
     goal_margin: NonNegative = 0.0
-    """how much smaller than the goal region the region is that the planner aims for, m; it has half the tolerances of a
-    goal with a heading"""
+    """how much smaller the region is that the planner aims for, m; then also half the tolerances of a goal's heading"""
     safety: Clearance | None = None
     """clearance of plans and contingencies in the coming cycle; without it plans are only free of collisions"""
     bound: CalibratedBound | None = None

@@ -21,6 +21,7 @@ from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_placement, needs_motions
 from kraft.planning.workspace import start_state
 from kraft.scenario import Scenario
+from kraft.scenario.unmapped import unstated_outside
 from kraft.text import Log, no_log
 from kraft.trial.early_watchdog import early_watchdog
 from kraft.trial.far_camera import far_camera
@@ -78,6 +79,7 @@ class Cell:
 
 
 WARNINGS: Final[tuple[Callable[[Cell], str], ...]] = (
+    lambda cell: unstated_outside(cell.scenario),
     lambda cell: far_camera(cell.scenario),
     lambda cell: unguided_goal(cell.scenario, cell.method),
     lambda cell: early_watchdog(cell.method),

@@ -23,6 +23,7 @@ from kraft.robot.robot_file import Robot
 from kraft.robot.task_inputs import TaskInputs
 from kraft.robot.transport import Peers, Transport
 from kraft.scenario import Task
+from kraft.scenario.unmapped import unstated_outside
 from kraft.vehicles.config import load_vehicle_config
 from kraft.vehicles.identification_record import IdentificationRecord
 from ompl_ext.vehicle import Vehicle
@@ -94,7 +95,7 @@ class Checklist:
         checks += [self._check_dead_man(), self._check_commands(peers), *self._check_map()]
         grid = None if self._tasks is None else self._tasks.take_map()
         checks += self._check_scenario(announced, spec, has_map=grid is not None) if poses else []
-        checks += [*_check_place(_mean_pose(poses), with_map(spec.task, grid), spec.vehicle)]
+        checks += [*_check_bounds(spec.task), *_check_place(_mean_pose(poses), with_map(spec.task, grid), spec.vehicle)]
         checks += [_check_model(spec.vehicle, is_simulated=self._robot.simulated), _check_priority()]
         checks += _check_units(spec.vehicle, self._robot)
         if not peers.publishers:
@@ -228,6 +229,12 @@ def _check_place(pose: Pose | None, task: Task, vehicle: Vehicle) -> list[Check]
     """A warning if the vehicle stands in an obstacle of the scenario or of its map, or outside of the bounds."""
     hit = None if pose is None else footprint_hit(task, vehicle, pose)
     return [Check("place", "warning", f"where it stands, the vehicle {hit}")] if hit else []
+
+
+def _check_bounds(task: Task) -> list[Check]:
+    """A warning if the bounds of the scenario reach beyond its maps, and it does not state what is there."""
+    unstated = unstated_outside(task)
+    return [Check("bounds", "warning", unstated)] if unstated else []
 
 
 def _check_model(vehicle: Vehicle, *, is_simulated: bool) -> Check:

@@ -202,7 +202,7 @@ def _at(data: Value, path: tuple[str, ...], default: Value = None) -> Value:
 
 
 def _unmapped(content: ScenarioFile, maps: Sequence[OccupancyMap]) -> tuple[Polygon, ...]:
-    """Obstacles where no map says what is there, unless all maps say that it is free; none without a map."""
+    """Obstacles where no map covers the bounds, if one of them says that these are occupied there."""
     occupied = [each.map.height for each in content.obstacles if each.map and each.map.outside == "occupied"]
     return unmapped(content.bounds, maps, max(occupied)) if occupied else ()
 

@@ -189,8 +189,8 @@ class MapFile(StrictModel):
     """path of the map's YAML file, relative to this file"""
     height: Length = 0.2
     """height in the physics world, m"""
-    outside: Literal["occupied", "free"] = "occupied"
-    """what the bounds contain beyond the map: occupied, because nothing is known there, or free"""
+    outside: Literal["occupied", "free"] | None = None
+    """what is beyond the map inside the bounds: occupied (unknown), or free; if left out free, with a warning"""
 
 
 SHAPES = ("box", "circle", "polygon", "map")

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kraft.config.schema import LENGTH_MIN
-from kraft.scenario.geometry import OccupancyMap, Polygon
+from kraft.scenario.geometry import OccupancyMap, Polygon, signed_area
+from kraft.scenario.scenario import Task
 from kraft.scenario.schema import Bounds
 
 Corners = NDArray[np.float64]
@@ -28,6 +29,21 @@ def unmapped(bounds: Bounds, maps: Sequence[OccupancyMap], height: float) -> tup
     return tuple(
         Polygon(tuple((float(x), float(y)) for x, y in part), height, name)
         for part, name in zip(parts, names, strict=True)
+    )
+
+
+def unstated_outside(task: Task) -> str:
+    """What to say of bounds that reach beyond the maps of a scenario that does not state what is there; else empty."""
+    maps = [each for each in task.obstacles if isinstance(each, OccupancyMap)]
+    stated = any(path[-2:] == ("map", "outside") for path in (*task.source.keys, *task.source.replaced))
+    parts = () if stated or not maps else unmapped(task.bounds, maps, 0.2)
+    if not parts:
+        return ""
+    (x0, x1), (y0, y1) = task.bounds.x, task.bounds.y
+    share = sum(signed_area(np.array(each.vertices)) for each in parts) / ((x1 - x0) * (y1 - y0))
+    return (
+        f"{max(share, 0.01):.0%} of the bounds are outside the map and count as free; expected `outside: occupied` "
+        "beside its file, because nothing is known there, or `outside: free` if the map is one obstacle among others"
     )
 
 

@@ -172,13 +172,14 @@ def read_occupancy(path: Path, out: Path, vehicle: str, start: Start, goal: Goal
     corners = np.round(read_map(path, height=0.2, name=None).corners, 6)
     (low_x, low_y), (high_x, high_y) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
     bounds = {"x": [low_x, high_x], "y": [low_y, high_y]}
+    file = os.path.relpath(os.path.realpath(path), os.path.realpath(out))
     world = World(
         name=plain_name(path.stem),
         remark=f"From the occupancy map {path.name}.",
         content={
             "bounds": bounds,
             "obstacles": [
-                {"name": "map", "map": {"file": os.path.relpath(os.path.realpath(path), os.path.realpath(out))}},
+                {"name": "map", "map": {"file": file, "outside": "occupied"}},
             ],
             "start": {"x": start[0], "y": start[1], "heading_deg": start[2]},
             "goal": {"center": list(goal[:2]), "radius": goal[2]},

@@ -21,6 +21,7 @@ from kraft.planning.search import Previous, check_previous, check_seed, check_th
 from kraft.planning.stated_speed import faster_than_stated
 from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario import Planning, Task, load_scenario
+from kraft.scenario.unmapped import unstated_outside
 from kraft.text import counted, finite, grouped, metres, no_log
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.work.parameters import parse_parameters
@@ -129,8 +130,9 @@ def run_plan(
     polish = task.planning.polish and task.planning.planner == "dirt"
     modules = ["sst"] if task.planning.planner == "sst" else []
     ensure_compiled(vehicle, report, heading=task.goal.heading is not None, polish=polish, modules=modules)
-    if warning := faster_than_stated(vehicle):
-        report(f"warning: {warning}")
+    for warning in (unstated_outside(task), faster_than_stated(vehicle)):
+        if warning:
+            report(f"warning: {warning}")
     needed = memory_needed(task, vehicle)
     (report if needed >= MUCH_MEMORY else detail)(f"the maps need at most {in_words(needed)} of memory")
     result = plan_task(

@@ -19,6 +19,7 @@ from kraft.gl import check_video_file
 from kraft.robot.priority import leave_signals_to_planner, process_context
 from kraft.robot.robot_file import JOINT_STATE, CommandOutput, Loopback, Robot, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
+from kraft.scenario.unmapped import unstated_outside
 from kraft.text import finite, metres, no_log
 from kraft.trial.far_camera import far_camera
 from kraft.trial.planning_vehicle import other_robot
@@ -112,8 +113,11 @@ def _for_vehicle(robot: Robot, files: DriveFiles, report: Callable[[str], None])
     """
     scenario = files.scenario
     for text in (
-        far_camera(scenario), unguided_goal(scenario, files.method), other_robot(scenario, files.vehicle)
-    ):  # fmt: skip
+        unstated_outside(scenario),
+        far_camera(scenario),
+        unguided_goal(scenario, files.method),
+        other_robot(scenario, files.vehicle),
+    ):
         if text:
             report(f"warning: {text}")
     if is_car(files.vehicle):

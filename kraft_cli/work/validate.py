@@ -28,6 +28,7 @@ from kraft.scenario import Scenario
 from kraft.scenario.geometry import MapServerFile, read_map
 from kraft.scenario.loader import scenario_from
 from kraft.scenario.schema import ScenarioFile
+from kraft.scenario.unmapped import unstated_outside
 from kraft.text import nearest
 from kraft.trial.planning_vehicle import check_own_robot, check_robot
 from kraft.vehicles.config import VehicleConfig
@@ -170,6 +171,8 @@ def _check_scenario(scenario: Scenario, report: Callable[[str], None]) -> None:
     check_placement(task, vehicle, start_state(task, vehicle))
     check_robot(scenario, vehicle)
     check_reachable(task, vehicle)
+    if warning := unstated_outside(task):
+        report(f"warning: {scenario.source.file}: {warning}")
 
 
 def _check_vehicle(document: Document, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What no occupancy map covers: an obstacle inside the bounds, unless the scenario says that it is free."""
+"""What no occupancy map covers: an obstacle inside the bounds if the scenario says so."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from kraft.planning.workspace import start_state
 from kraft.scenario import OccupancyMap, Polygon, parse_scenario
 from kraft.scenario.geometry import signed_area
 from kraft.scenario.schema import Bounds
-from kraft.scenario.unmapped import unmapped
+from kraft.scenario.unmapped import unmapped, unstated_outside
 from kraft.vehicles.load import load_vehicle
 
 SCENE = (
     "name: x\nbounds: {x: [0, 8], y: [0, 4]}\nstart: {x: 3, y: 2, heading_deg: 0}\n"
-    "goal: {center: [5, 2], radius: 0.3}\nobstacles:\n  - {name: floor, map: {file: m.yaml, height: 0.4}}\n"
+    "goal: {center: [5, 2], radius: 0.3}\nobstacles:\n  - {name: floor, map: {file: m.yaml, height: 0.4, outside: occupied}}\n"
 )
 
 
@@ -57,7 +57,17 @@ def test_a_start_beyond_the_map_is_refused(tmp_path: Path) -> None:
 
 
 def test_bounds_beyond_a_map_are_free_if_the_scenario_says_so(tmp_path: Path) -> None:
-    assert scene_of(tmp_path, SCENE.replace("height: 0.4", "outside: free")) == ()
+    assert scene_of(tmp_path, SCENE.replace("outside: occupied", "outside: free")) == ()
+
+
+@pytest.mark.parametrize(("stated", "warned"), [("", True), (", outside: free", False), (", outside: occupied", False)])
+def test_a_scenario_that_does_not_state_what_is_beyond_its_map_is_warned_of(
+    stated: str, warned: bool, tmp_path: Path
+) -> None:
+    text = SCENE.replace(", outside: occupied", stated)
+    assert bool(scene_of(tmp_path, text)) == (stated == ", outside: occupied")
+    text_of_warning = unstated_outside(parse_scenario(text, folder=tmp_path))
+    assert text_of_warning.startswith("50% of the bounds are outside the map") if warned else text_of_warning == ""
 
 
 def test_a_map_that_reaches_the_bounds_to_a_rounding_adds_nothing(tmp_path: Path) -> None:
