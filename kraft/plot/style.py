@@ -79,8 +79,9 @@ def cost_colours() -> ListedColormap:
 
 
 def plain_number(value: float) -> str:
-    """A number for a tick: three digits, no trailing zeros, a true minus sign."""
-    return f"{value + 0.0:.3g}".replace("-", "\N{MINUS SIGN}")
+    """A number for a tick: three digits, no trailing zeros, a true minus sign; thousands without a power of ten."""
+    text = f"{value:,.0f}" if 999.5 <= abs(value) < 1e6 else f"{value + 0.0:.3g}"
+    return text.replace("-", "\N{MINUS SIGN}")
 
 
 @lru_cache(maxsize=1024)

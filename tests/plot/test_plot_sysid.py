@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from support.sysid import estimated, fake_evaluation, fake_identification, fake_log, fake_windows
 
 from kraft.errors import InputError
-from kraft.plot.style import plot_style
+from kraft.plot.style import plain_number, plot_style
 from kraft.plot.sysid import compose, plot_identification
 from kraft.plot.sysid_logs import compose_logs, most_excited_log, plot_logs, speeds
 from kraft.plot.sysid_panels import draw_error_over_time
@@ -268,3 +268,10 @@ def test_errors_of_the_identified_model_can_be_read_beside_large_ones(initial: f
     begins = {float(line.get_xdata()[0]) for line in axes.lines}  # type: ignore[index]
     assert begins == {0.0 if scale == "linear" else 0.1}, "a logarithmic axis has no 0"
     assert high > 3.0, "cm after 3 s"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(1000.0, "1,000"), (-12345.6, "\N{MINUS SIGN}12,346"), (999.4, "999"), (0.00125, "0.00125")]
+)
+def test_ticks_of_thousands_are_whole_numbers(value: float, text: str) -> None:
+    assert plain_number(value) == text
