@@ -12,7 +12,7 @@ from kraft.text import Log
 
 INTERVAL: Final = 5.0
 """Time between two messages, s."""
-LOADING: Final = "loading and checking: the first start after an installation takes longest"
+LOADING: Final = "loading and checking"
 LOADING_INTERVAL: Final = 3.0
 """Time between two messages about modules that are loaded, s: few starts after the first one take as long."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kraft_cli.terminal import Terminal
@@ -55,10 +56,10 @@ def show_tables(terminal: Terminal, summary: Summary) -> None:
     _show_all(terminal, [*tables(summary), *([together] if together else [])], MEANINGS)
 
 
-def show_unsuccessful(terminal: Terminal, rows: Sequence[TrialRow]) -> None:
+def show_unsuccessful(terminal: Terminal, rows: Sequence[TrialRow], folder: Path | None) -> None:
     """Print the first `LISTED` collisions and timeouts, of methods that rarely fail first, and how many more there are.
 
-    Each has its link on the page of the results.
+    Each has its link on the page in the folder of the results.
     """
     from kraft.evaluation.report.entry import trial_link
     from kraft.text import counted
@@ -67,14 +68,14 @@ def show_unsuccessful(terminal: Terminal, rows: Sequence[TrialRow]) -> None:
     found = [row for row in rows if row.outcome in ("collision", "timeout")]
     if not found:
         return
-    counts = Counter(row.method for row in found)
+    counts, page = Counter(row.method for row in found), (folder or Path()) / "report.html"
     found.sort(key=lambda row: counts[row.method])
     cells = [
         (
             *map(str, row.key),
             outcome_text(row.outcome, row.obstacle, row.t_s, digits=1),
             "-" if row.cause is None else row.cause.kind,
-            f"report.html{trial_link(row.key)}",
+            f"{page}{trial_link(row.key)}",
         )
         for row in found[:LISTED]
     ]

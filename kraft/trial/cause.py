@@ -48,7 +48,10 @@ class CauseKind(StrEnum):
         "contingency too late",
         "nothing verified the contingency when it was committed, or it was predicted to come too close",
     )
-    UNSAFE_PLAN = "unsafe plan", "the car was where it was predicted to be, and the plan itself came too close"
+    UNSAFE_PLAN = (
+        "unsafe plan",
+        "the car was as near to the prediction as claimed, and the plan kept less than that",
+    )
     ESTIMATE_WRONG = (
         "estimate wrong",
         "the car was farther from the prediction than the clearance δ(v) or the obstacle allowed, and at least half of "
@@ -109,7 +112,8 @@ def collision_cause(
     if (allowed is not None and deviation <= allowed) or cycle.clearance <= 0.0:
         kind = CauseKind.CONTINGENCY_TOO_LATE if contingency else CauseKind.UNSAFE_PLAN
         near = f"the prediction of cycle {cycle.number} comes within {max(cycle.clearance, 0.0):.3f} m of an obstacle"
-        return Cause(kind=kind, text=f"{near}, and the car was {deviation:.3f} m from the predicted place")
+        claimed = f", and {allowed:.3f} m were claimed" if allowed is not None and cycle.clearance > 0.0 else ""
+        return Cause(kind=kind, text=f"{near}; the car was {deviation:.3f} m from it{claimed}")
     error = _error_of_guidance(cycle, steps, footprint, pose, feedback=feedback)
     text = f"the car was {deviation:.3f} m from the prediction"
     if allowed is not None:

@@ -126,7 +126,7 @@ def _print_results(terminal: Terminal, evaluation: Evaluation, json: bool) -> Ex
         terminal.json(SCHEMA, content)
     else:
         show_tables(terminal, evaluation.summary)
-        show_unsuccessful(terminal, evaluation.rows)
+        show_unsuccessful(terminal, evaluation.rows, evaluation.folder)
         terminal.info(f"results in {evaluation.folder}; page: {evaluation.folder}/report.html")
     failed = [row for row in evaluation.rows if row.outcome == "failed"]
     for row in failed:

@@ -159,7 +159,8 @@ def _print(terminal: Terminal, result: SysidResult) -> None:
     for line in report.summary_lines(result):
         terminal.data(line)
     if result.request.out is not None and not result.objections:
-        terminal.data(f"vehicle file {result.request.out}: kraft plan turns --vehicle {result.request.out}")
+        with_it = "kraft plan turns" if result.fits_bundled_scenarios else "kraft generate rooms"
+        terminal.data(f"vehicle file {result.request.out}: {with_it} --vehicle {result.request.out}")
     if result.request.plot is not None:
         terminal.data(f"picture {result.request.plot}")
     if result.next_drives is not None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from kraft.driving.vehicle_model import VehicleModel, model_of
+from kraft.elapsed import elapsed_time
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
 from kraft.files import check_new_folder
 from kraft.logs.log import Log, Part
@@ -112,9 +113,10 @@ def next_drives(
     vehicle = known.parameters.vehicle
     ensure_compiled(vehicle, report, steps=True)
     drives = []
-    for drive in planned_drives(known, request.count, area.room):
-        drives.append(_as_recorded(drive, model_of(vehicle), units))
-        report(f"planned drive {len(drives)} of {request.count}")
+    with elapsed_time(report, f"planning {counted(request.count, 'drive')}"):
+        for drive in planned_drives(known, request.count, area.room):
+            drives.append(_as_recorded(drive, model_of(vehicle), units))
+            report(f"planned drive {len(drives)} of {request.count}")
     if not drives:
         origin = "of the logs " if sides is None else ""
         problem = f"{origin}is {area.length:.2g} m x {area.width:.2g} m, in which no drive fits"
@@ -273,9 +275,10 @@ def drives_for(
         return recorder.place(number, path).time
 
     found: list[tuple[Manoeuvre, Place | None]] = []
-    for k, drive in enumerate(planned_drives(known, count, room, seed), 1):
-        report(f"planned drive {k} of {count}: {'; '.join(drive.words)}")
-        found.append((drive.commands, recorder.place(k, coarse(drive.path))))
+    with elapsed_time(report, f"planning {counted(count, 'drive')}"):
+        for k, drive in enumerate(planned_drives(known, count, room, seed), 1):
+            report(f"planned drive {k} of {count}: {'; '.join(drive.words)}")
+            found.append((drive.commands, recorder.place(k, coarse(drive.path))))
     if not found:
         problem = f"has no room for any drive that shows the parameters of {definition.name}"
         raise InputError.of(scenario.name, problem, NO_ROOM, Code.GEOMETRY)

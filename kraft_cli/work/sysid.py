@@ -56,6 +56,8 @@ from kraft_cli.work.sysid_request import AUTO, SysidRequest, checked
 
 PROGRESS_INTERVAL: Final = 2.0
 """Least time between two progress messages, and before the first one, s."""
+LARGEST: Final = 0.7
+"""Length of the largest vehicle for which the bundled scenarios have room, m."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,13 @@ class SysidResult:
     left_out: tuple[Stretch, ...]
     next_drives: NextDrives | None = None
     next_error: InputError | NegativeResult | None = None
+
+    @property
+    def fits_bundled_scenarios(self) -> bool:
+        """Whether the vehicle is of a size for which the bundled scenarios have room."""
+        recorded = self.base.recorded
+        footprint = self.base.vehicle.footprint if recorded is None else recorded.footprint
+        return footprint.length <= LARGEST
 
 
 def run_sysid(request: SysidRequest, info: MessageSink, warn: MessageSink, detail: MessageSink = no_log) -> SysidResult:
@@ -274,9 +283,8 @@ def _wheelbase_note(
     assumed = known.value if known is not None and of_terms else ASSUMED_WHEELBASE
     angles = "wheel angles and the scale of the steering" if converted else "wheel angles"
     return (
-        f"poses do not show {WHEELBASE}, the wheelbase, but its ratio to the steering: it is taken as {assumed:g} m, "
-        f"and {angles} are those of such a car; state the measured one with --param {WHEELBASE}=..., with which "
-        "predictions of a car whose wheels turn little are about the same",
+        f"{WHEELBASE}, the wheelbase, is taken as {assumed:g} m: poses show only its ratio to the steering. "
+        f"Predictions hardly depend on it, {angles} do; if you have measured it, state it with --param {WHEELBASE}=...",
     )
 
 

@@ -69,7 +69,7 @@ def test_ten_unsuccessful_trials_are_listed_with_their_replays(
     assert lines[begin + 1].split() == ["entry", "method", "seed", "outcome", "cause", "replay"]
     for line in lines[begin + 2 : begin + 12]:
         entry, method, seed = line.split()[:3]
-        assert line.endswith(f"report.html#trial={entry}/{method}/{seed}")
+        assert line.endswith(f"/report.html#trial={entry}/{method}/{seed}")
         (row,) = (row for row in failed if (row["method"], row["seed"]) == (method, int(seed)))
         assert f"  {row['outcome']}" in line
     assert lines[begin + 12] == f"and {len(failed) - 10} more, which the page has"
