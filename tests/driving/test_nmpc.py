@@ -25,12 +25,14 @@ from kraft.driving.references import contingency_reference, plan_reference
 from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, MissingDependency
+from kraft.scenario.loader import load_scenario
 from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.car import CAR, CAR_LAG
 from kraft.vehicles.f1tenth import F1TENTH
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.mushr import MUSHR, MUSHR_FORCE
 from kraft.vehicles.unicycle2 import JACKAL, UNICYCLE2
+from ompl_ext.arrays import Floats
 from ompl_ext.kernels.specialise import step_kernels
 from ompl_ext.poses import pose_of
 from ompl_ext.vehicle import Vehicle
@@ -218,6 +220,32 @@ def test_the_controls_of_a_plan_are_the_first_guess_and_that_of_a_new_plan() -> 
         times = np.linspace(0.0, 2.0, 41)
         plan = Reference(ReferenceKind.PLAN, times, np.array(states), controls, model().rest)
         assert controller.command(Estimate(0.0, begin, 0.0), plan) == pytest.approx([1.0, steering])
+
+
+def reversing(car: CarModel, begin: Floats) -> Reference:
+    """Plan that moves a car a little aside: backwards, then ahead with the steering the other way."""
+    controls = np.repeat([[-0.5, 0.38], [1.0, -0.38], [-0.5, -0.38]], [12, 12, 6], axis=0)
+    states = [begin]
+    for control in controls:
+        states.append(car.advance(states[-1], control, 0.05))
+    return Reference(ReferenceKind.PLAN, np.linspace(0.0, 1.5, 31), np.array(states), controls, car.rest)
+
+
+@pytest.mark.parametrize("begin", [(1.3, 0.7, 0.0, 0.0), (1.516, 0.266, 0.268, 0.0)], ids=["in the open", "in the gap"])
+def test_a_plan_to_a_goal_with_a_heading_is_tracked_through_its_reversals_and_as_near_to_obstacles(begin: Any) -> None:
+    """In the gap of `parking` the plan takes the discs, which are larger than the footprint, nearer than their margin."""
+    vehicle = load_vehicle("mushr-drive")
+    car = CarModel(vehicle)
+    parking = Solvers.of(load_scenario("parking").task(), vehicle, PlannerSettings(mode="replanning")).checking
+    controller = make_controller(Nmpc(kind="nmpc", objective="plan"), car, parking)
+    assert isinstance(controller, NmpcController)
+    plan = reversing(car, np.array(begin))
+    found = controller.solve(Estimate(0.0, plan.states[0], 0.0), plan)
+    wanted = np.array([plan.state_at(0.1 * k) for k in range(21)])
+    assert all(parking.exact.distance(*pose_of(state, vehicle)) > 0.0 for state in wanted)
+    assert found.controls[0] == pytest.approx([-0.5, 0.38], abs=0.05)
+    assert np.hypot(*(found.states - wanted)[:, :2].T).max() < 0.01
+    assert np.degrees(np.abs(found.states - wanted)[:, 2].max()) < 1.0
 
 
 def test_a_contingency_is_tracked_by_the_law_of_the_other_methods() -> None:

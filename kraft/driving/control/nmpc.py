@@ -96,6 +96,12 @@ class NmpcController:
         """Stay clear of the obstacles of another solver from the next command on, with its clearance."""
         self._dirt = dirt
 
+    @property
+    def _approaches(self) -> bool:
+        """Whether plans to an exact goal are tracked."""
+        goal = self._dirt.goal
+        return self._settings.objective == "plan" and goal is not None and goal.is_exact
+
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) at the estimate's time."""
         if reference.kind is ReferenceKind.CONTINGENCY:
@@ -112,7 +118,10 @@ class NmpcController:
         targets = self._targets(estimate, reference)
         guess = self._guess(estimate, reference, targets)
         planes = self._planes(guess.states[1:])
-        self._solution = self._problem.solve(guess, self._model.parameters, targets, planes, self._last)
+        if self._approaches:  # such a plan may have to be nearer to obstacles, and is verified with the exact footprint
+            planes[:, :, 2] -= self._lack(targets)
+        planned = self._planned_changes(estimate.time, reference)
+        self._solution = self._problem.solve(guess, self._model.parameters, targets, planes, self._last, planned)
         self._last, self._time = self._solution.controls[0], estimate.time
         self.unsolved += not self._solution.solved
         return self._solution
@@ -131,8 +140,7 @@ class NmpcController:
         else:
             candidates = [moved(self._solution.controls, (estimate.time - self._time) / settings.step)]
         if settings.objective == "plan":
-            begins = estimate.time + settings.step * np.arange(settings.steps, dtype=np.float64)
-            candidates.append(model.clamped(reference.controls_at(begins)))
+            candidates.append(self._planned(estimate.time, reference))
         count, starts = len(candidates), np.array([estimate.state] * len(candidates), dtype=float)
         controls = np.empty((settings.steps, count, len(model.low)))
         for k, candidate in enumerate(candidates):
@@ -145,6 +153,24 @@ class NmpcController:
         away = ((states[1:, :, [model.x, model.y]] - targets[:, None, :2]) ** 2).sum(axis=(0, 2))
         best = int(away.argmin())
         return Solution(states[:, best].copy(), candidates[best], math.inf, solved=False)
+
+    def _planned(self, time: float, reference: Reference) -> Matrix:
+        """Controls (steps, nu) of a plan from `time` (s) on."""
+        settings = self._settings
+        begins = time + settings.step * np.arange(settings.steps, dtype=np.float64)
+        return self._model.clamped(reference.controls_at(begins))
+
+    def _planned_changes(self, time: float, reference: Reference) -> Matrix:
+        """Changes (steps, nu) of the controls, from the last ones on, that cost nothing: a plan's to an exact goal.
+
+        The last moves to such a goal are short and often reverse: their changes would cost more than to stand beside
+        the plan.
+        """
+        changes = np.zeros((self._settings.steps, len(self._last)))
+        if self._approaches:
+            planned = self._planned(time, reference)
+            changes[0], changes[1:] = planned[0] - self._last, np.diff(planned, axis=0)
+        return changes
 
     def _targets(self, estimate: Estimate, reference: Reference) -> Matrix:
         """Targets (steps, 4) after each step: x, y, heading, speed.
@@ -179,13 +205,29 @@ class NmpcController:
             self._path = reference, (along, x, y, np.unwrap(states[:, model.theta]), v)
         return self._path[1]
 
+    def _lack(self, targets: Matrix) -> Matrix:
+        """What discs (steps, discs) lack of their distance to obstacles in the poses of the targets, m."""
+        x, y = self._centres(targets[:, :3])
+        planes = self._half_planes(x, y)
+        lack: Matrix = np.maximum(planes[:, :, 2] - planes[:, :, 0] * x - planes[:, :, 1] * y, 0.0)
+        return lack
+
     def _planes(self, states: Matrix) -> Cube:
         """Half-planes (steps, discs, 3) that the discs' centres stay in: normal and least distance along it."""
-        model, problem = self._model, self._dirt.problem
-        c, s = np.cos(states[:, model.theta]), np.sin(states[:, model.theta])
-        ahead, aside, radius = self._discs[:, 0], self._discs[:, 1], self._discs[:, 2]
-        x = states[:, model.x, None] + ahead * c[:, None] - aside * s[:, None]
-        y = states[:, model.y, None] + ahead * s[:, None] + aside * c[:, None]
+        model = self._model
+        return self._half_planes(*self._centres(states[:, [model.x, model.y, model.theta]]))
+
+    def _centres(self, poses: Matrix) -> tuple[Matrix, Matrix]:
+        """Coordinates x and y (steps, discs) of the discs' centres in some poses (steps, 3), m."""
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        ahead, aside = self._discs[:, 0], self._discs[:, 1]
+        x = poses[:, 0, None] + ahead * c[:, None] - aside * s[:, None]
+        y = poses[:, 1, None] + ahead * s[:, None] + aside * c[:, None]
+        return x, y
+
+    def _half_planes(self, x: Matrix, y: Matrix) -> Cube:
+        """Half-planes (steps, discs, 3) of free space at the discs' centres."""
+        problem, radius = self._dirt.problem, self._discs[:, 2]
         required, planes = radius + self._settings.margin + float(problem.scalar[at.DELTA]), np.empty((*x.shape, 3))
         half_planes()(problem.field, problem.scalar, x, y, required, FAR, planes)
         return planes
@@ -220,6 +262,7 @@ class _Problem:
         states, controls, lack = ca.SX.sym("x", nx, n), ca.SX.sym("u", nu, n), ca.SX.sym("s", n)
         start, parameters = ca.SX.sym("x0", nx), ca.SX.sym("p", np_)
         targets, planes, last = ca.SX.sym("r", 4, n), ca.SX.sym("h", 3 * len(centres), n), ca.SX.sym("v", nu)
+        planned = ca.SX.sym("c", nu, n)
         weights = np.array([settings.position, math.radians(settings.heading_deg), settings.speed]) ** -2.0
         change = (settings.change * (model.high - model.low)) ** -2.0
         cost, curved, motion, free = 0.0, 0.0, [], []
@@ -229,7 +272,7 @@ class _Problem:
             turned = after[model.theta] - targets[2, k]
             squares = settings.step * weights[0] * ca.sumsqr(after[[model.x, model.y]] - targets[:2, k])
             squares += settings.step * weights[2] * (after[model.v] - targets[3, k]) ** 2
-            squares += ca.sum1(change * (control - (last if k == 0 else controls[:, k - 1])) ** 2)
+            squares += ca.sum1(change * (control - (last if k == 0 else controls[:, k - 1]) - planned[:, k]) ** 2)
             squares += settings.penalty * (lack[k] + 10.0 * lack[k] ** 2)
             cost += squares + settings.step * weights[1] * (2.0 - 2.0 * ca.cos(turned))
             curved += squares + settings.step * weights[1] * turned**2
@@ -238,7 +281,7 @@ class _Problem:
                 x, y = after[model.x] + ahead * c - aside * s, after[model.y] + ahead * s + aside * c
                 free.append(planes[3 * d, k] * x + planes[3 * d + 1, k] * y - planes[3 * d + 2, k] + lack[k])
         variables = ca.vertcat(ca.vec(states), ca.vec(controls), lack)
-        given = ca.vertcat(start, parameters, ca.vec(targets), ca.vec(planes), last)
+        given = ca.vertcat(start, parameters, ca.vec(targets), ca.vec(planes), last, ca.vec(planned))
         driven = [start]
         for k in range(n):
             driven.append(step(driven[-1], controls[:, k], parameters))
@@ -254,12 +297,17 @@ class _Problem:
         )  # fmt: skip
         return (_ipopt if settings.solver == "ipopt" else _sequential)(ca, program, settings.iterations)
 
-    def solve(self, guess: Solution, parameters: Floats, targets: Matrix, planes: Floats, last: Floats) -> Solution:
-        """Optimum near `guess`, whose states follow the model; `last` (nu,) is the control before."""
+    def solve(
+        self, guess: Solution, parameters: Floats, targets: Matrix, planes: Floats, last: Floats, planned: Matrix
+    ) -> Solution:
+        """Optimum near `guess`, whose states follow the model; `last` (nu,) is the control before.
+
+        `planned` (steps, nu) are the changes of the controls that have no cost.
+        """
         nx, nu, n = self._sizes
         values, cost, solved = self._optimum(
             np.concatenate([guess.states[1:].ravel(), guess.controls.ravel(), np.zeros(n)]),
-            np.concatenate([guess.states[0], parameters, targets.ravel(), planes.ravel(), last]),
+            np.concatenate([guess.states[0], parameters, targets.ravel(), planes.ravel(), last, planned.ravel()]),
         )
         states = np.concatenate([guess.states[0], values[: nx * n]]).reshape(n + 1, nx)
         return Solution(states, values[nx * n : (nx + nu) * n].reshape(n, nu), cost, solved)
