@@ -7,8 +7,8 @@ import math
 from kraft.scenario import Scenario
 from kraft.simulation.car import design_of
 from kraft.simulation.robots import mjcf_robot
-from kraft.simulation.true_world import true_robot
-from kraft.vehicles.load import load_vehicle
+from kraft.simulation.true_world import TrueRobot, true_robot
+from kraft.vehicles.load import load_vehicle, natural_robot
 from ompl_ext.vehicle import Footprint, Vehicle
 
 
@@ -20,11 +20,25 @@ def outline_of(scenario: Scenario, vehicle: Vehicle) -> Footprint | None:
     Raises:
         InputError: if the robot does not load.
     """
-    true = true_robot(scenario, vehicle)
+    highest = max((obstacle.height for obstacle in scenario.obstacles), default=math.inf)
+    return _outline(true_robot(scenario, vehicle), vehicle, highest)
+
+
+def own_outline_of(vehicle: Vehicle) -> Footprint | None:
+    """Outline of the robot that is true where a scenario states none, among obstacles of any height.
+
+    Raises:
+        InputError: if the robot does not load.
+    """
+    return _outline(TrueRobot(*natural_robot(vehicle)), vehicle, math.inf)
+
+
+def _outline(true: TrueRobot, vehicle: Vehicle, highest: float) -> Footprint | None:
+    """Outline of a true robot among obstacles up to a height (m); None if no obstacle can touch it."""
     robot = true.robot
     if robot.car is not None:
         return design_of(robot.car).outline
     if robot.mjcf is not None:
         found = mjcf_robot(robot.mjcf, vehicle.controls, robot.body, robot.actuators, robot.geoms, true.problem)
-        return found.outline(max((obstacle.height for obstacle in scenario.obstacles), default=math.inf))
+        return found.outline(highest)
     return vehicle.footprint if robot.model is None else load_vehicle(robot.model).footprint

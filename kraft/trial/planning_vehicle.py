@@ -122,15 +122,26 @@ def other_robot(scenario: Scenario, vehicle: Vehicle) -> str:
     return "" if outline is None else _uncovered(outline, vehicle)
 
 
-def _outline(robot: Robot, scenario: Scenario, vehicle: Vehicle) -> Footprint | None:
+def own_robot(vehicle: Vehicle) -> str:
+    """What to say of a robot that the vehicle's file states and its footprint does not cover; else empty.
+
+    Raises:
+        InputError: if that robot does not load.
+    """
+    robot, source = natural_robot(vehicle)
+    outline = _outline(robot, None, vehicle) if ("truth",) in source.keys else None
+    return "" if outline is None else _uncovered(outline, vehicle)
+
+
+def _outline(robot: Robot, scenario: Scenario | None, vehicle: Vehicle) -> Footprint | None:
     """Outline of the robot that is true, without the simulator if it is one of a kind that is known without it."""
     if robot.kind is None:
         return vehicle.footprint
     if robot.car is not None and robot.car.is_preset:
         return Footprint(*CAR_SIZES[robot.car.preset])
-    from kraft.simulation.outline import outline_of  # loads the simulator
+    from kraft.simulation.outline import outline_of, own_outline_of  # loads the simulator
 
-    return outline_of(scenario, vehicle)
+    return own_outline_of(vehicle) if scenario is None else outline_of(scenario, vehicle)
 
 
 def _by_default(vehicle: Vehicle) -> str:

@@ -30,7 +30,7 @@ from kraft.scenario.loader import scenario_from
 from kraft.scenario.schema import ScenarioFile
 from kraft.scenario.unmapped import unstated_outside
 from kraft.text import nearest
-from kraft.trial.planning_vehicle import check_own_robot, check_robot
+from kraft.trial.planning_vehicle import check_own_robot, check_robot, other_robot, own_robot
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import configured, load_vehicle, read_vehicle_file
 from kraft.vehicles.reference import is_code
@@ -74,7 +74,7 @@ class FileReport:
 def check_file(name_or_path: str | Path, report: Callable[[str], None]) -> FileReport:
     """Check a file, a bundled file by name, or a vehicle in code. Problems and defects are returned, not raised.
 
-    `report` receives messages about what is compiled.
+    `report` receives messages about what is compiled, and warnings of what is valid but may be wrong.
 
     Raises:
         MissingError: if something that the check needs is not installed.
@@ -150,7 +150,7 @@ def _check_as(kind: FileKind, document: Document, path: Path, report: Callable[[
     if kind == "scenario":
         _check_scenario(scenario_from(document, path.parent), report)
     elif kind == "vehicle":
-        _check_vehicle(document, path)
+        _check_vehicle(document, path, report)
     elif kind == "method":
         _check_method(document, path)
     elif kind == "suite":
@@ -171,17 +171,21 @@ def _check_scenario(scenario: Scenario, report: Callable[[str], None]) -> None:
     check_placement(task, vehicle, start_state(task, vehicle))
     check_robot(scenario, vehicle)
     check_reachable(task, vehicle)
-    if warning := unstated_outside(task):
-        report(f"warning: {scenario.source.file}: {warning}")
+    for warning in (unstated_outside(task), other_robot(scenario, vehicle)):
+        if warning:
+            report(f"warning: {scenario.source.file}: {warning}")
 
 
-def _check_vehicle(document: Document, path: Path) -> None:
+def _check_vehicle(document: Document, path: Path, report: Callable[[str], None]) -> None:
     """Check a vehicle file, and the car that it states as its true robot also if another key is wrong."""
     problems = Problems()
     if problems.of(lambda: configured(read_vehicle_file(path))) is None:
         problems.of(lambda: _check_car(document))
     problems.check()
-    check_own_robot(load_vehicle(str(path)))
+    vehicle = load_vehicle(str(path))
+    check_own_robot(vehicle)
+    if warning := own_robot(vehicle):
+        report(f"warning: {path}: {warning}")
 
 
 def _check_car(document: Document) -> None:

@@ -85,6 +85,26 @@ def test_the_car_of_a_vehicle_file_is_checked_beside_its_other_keys(
     assert places(capsys.readouterr().err)[:2] == ["m.yaml:3:14", "m.yaml:6:14"]
 
 
+def test_a_valid_file_whose_true_robot_reaches_beyond_the_footprint_is_warned_of(
+    files: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (bundled.folder("vehicle") / "mushr.yaml").read_text()
+    (files / "wide.yaml").write_text(text + "truth: {car: {length: 0.7, width: 0.5}}\n")
+    jackal = (bundled.folder("vehicle") / "jackal.yaml").read_text()
+    (files / "small.yaml").write_text(jackal.replace("length: 0.51, width: 0.43", "length: 0.3, width: 0.3"))
+    (files / "jackal.xml").write_bytes((bundled.folder("vehicle") / "jackal.xml").read_bytes())
+    (files / "scene.yaml").write_text(GOOD + "truth: {car: {length: 0.8}}\n")
+    assert main(["validate", "wide.yaml", "small.yaml", "scene.yaml"]) == 0
+    out, err = capsys.readouterr()
+    assert out.splitlines() == ["wide.yaml: valid vehicle", "small.yaml: valid vehicle", "scene.yaml: valid scenario"]
+    warnings = [line for line in err.splitlines() if line.startswith("warning: ")]
+    assert [line.split(" is not covered")[0].removeprefix("warning: ") for line in warnings] == [
+        "wide.yaml: the true robot (0.7 m x 0.5 m)",
+        "small.yaml: the true robot (0.51 m x 0.43 m)",
+        "scene.yaml: the true robot (0.8 m x 0.271 m)",
+    ]
+
+
 def test_every_bundled_file_is_valid(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["validate", *bundled.names("scenario"), *bundled.names("vehicle")]) == 0
     assert capsys.readouterr().err == ""
