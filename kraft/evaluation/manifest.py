@@ -129,9 +129,7 @@ def check_continues(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) 
     if all(isinstance(before.get(name), dict) for name in SECTIONS):  # otherwise it is damaged, which is a difference
         _relabel_vehicles(before, after)
         grown = _remove_additions(was, now, before, after)
-    for rows in (before["rows"], after["rows"]):  # rows of one side alone are reported by their scenario or method
-        for row in rows.keys() - (before["rows"].keys() & after["rows"].keys()):
-            del rows[row]
+    _remove_uncommon_rows(before, after)
     differing = list(differences(before, after))
     if differing:
         raise InputError(
@@ -200,6 +198,16 @@ def _remove_additions(
     if more:
         after["trials"] = before["trials"]
     return bool(added) or more
+
+
+def _remove_uncommon_rows(before: dict[str, Any], after: dict[str, Any]) -> None:
+    """Remove rows of one side alone, with the vehicles that only these have: their scenario or method is reported."""
+    common = before["rows"].keys() & after["rows"].keys()
+    for content, other in ((before, after), (after, before)):
+        uncommon = {content["rows"].pop(row) for row in content["rows"].keys() - common}
+        if isinstance(content.get("vehicles"), dict) and isinstance(other.get("vehicles"), dict):
+            for label in uncommon - set(content["rows"].values()) - other["vehicles"].keys():
+                content["vehicles"].pop(label, None)
 
 
 def _compared(content: Mapping[str, Any]) -> dict[str, Any]:

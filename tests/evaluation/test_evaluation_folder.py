@@ -207,10 +207,7 @@ def test_there_must_be_something_to_go_on_with(tmp_path: Path) -> None:
     ("change", "expected"),
     [
         ({"trials": 2}, ["trials"]),
-        (
-                {"methods": ("kraft",)},
-                ["methods.oneshot-openloop", "vehicles.mushr"],
-            ),
+        ({"methods": ("kraft",)}, ["methods.oneshot-openloop"]),
         ({"scenarios": ("turns", "slip", "boxes")}, ["scenarios.boxes"]),
         ({"realtime": True}, ["realtime"]),
         (

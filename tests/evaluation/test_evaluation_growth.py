@@ -172,6 +172,27 @@ def test_a_changed_method_is_refused_beside_an_added_one(tmp_path: Path) -> None
     assert [each.path for each in caught.value.diagnostics] == ["methods.mine.content.planner.margin"]
 
 
+def test_a_missing_method_or_scenario_is_reported_once_and_not_by_its_vehicle_too(tmp_path: Path) -> None:
+    text = (ROOT / "configs/vehicles/mushr-drive.yaml").read_text()
+    (tmp_path / "other.yaml").write_text(text.replace("name: mushr-drive", "name: other"))
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("name: mine\ntitle: Mine\nbase: replanner-openloop\nplanner: {vehicle: other.yaml}\n")
+    evaluate(["turns", "track"], ["kraft", mine], 2, 5, out=tmp_path / "out")
+    recorded = json.loads((tmp_path / "out/manifest.json").read_text())
+    assert set(recorded["vehicles"]) == {"mushr-drive", "other", "f1tenth"}
+    for scenarios, methods, path in (
+        (["turns", "track"], ["kraft"], "methods.mine"),
+        (["turns"], ["kraft", mine], "scenarios.track"),
+    ):
+        with pytest.raises(InputError) as caught:
+            evaluate(scenarios, methods, 2, 5, out=tmp_path / "out", resume=True)
+        assert [each.path for each in caught.value.diagnostics] == [path]
+    evaluate(["turns"], ["kraft"], 2, 5, out=tmp_path / "one")
+    with pytest.raises(InputError) as caught:
+        evaluate(["turns", "track"], ["kraft"], 2, 5, out=tmp_path / "one", resume=True)
+    assert [each.path for each in caught.value.diagnostics] == ["scenarios.track"]
+
+
 @pytest.mark.parametrize("damage", [{"methods": None}, {"trials": "2"}, {"methods": {}}])
 def test_a_damaged_manifest_is_not_replaced(tmp_path: Path, damage: dict[str, Any]) -> None:
     run(tmp_path / "out", 2)
