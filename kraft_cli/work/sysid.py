@@ -307,7 +307,8 @@ def _braking_note(request: SysidRequest, base: BaseVehicle) -> tuple[str, ...]:
         return ()
     return (
         f"the logs have no throttle below 0, so that the vehicle of {request.out} neither brakes nor drives backwards: "
-        "if the car can, log such drives too (in simulation those of kraft record --for car-lag)",
+        "if the car can, log such drives too (in simulation: kraft record --commands FILE with such throttle, and "
+        "--vehicle of one that takes it, such as mushr-drive)",
     )
 
 

@@ -180,6 +180,19 @@ def test_recommended_drives_are_driven_and_their_commands_can_be_driven_again(
     assert json.loads(Path("again/run_01/manifest.json").read_text())["manoeuvre"] == "run_01"
 
 
+def test_the_commands_that_the_documentation_states_brake_and_drive_backwards(folder: Path) -> None:
+    (rows,) = re.findall(r"```\n(t,throttle,steering\n.*?)```", (ROOT / "docs/record.md").read_text(), re.DOTALL)
+    (folder / "back.csv").write_text(rows)
+    assert main(["record", "--vehicle", "mushr-drive", "--commands", "back.csv", "--out", "back"]) == 0
+    assert json.loads((folder / "back/run_01/manifest.json").read_text())["note"] == ""
+    columns = {}
+    for name, key in (("commands", "throttle"), ("truth", "speed")):
+        with (folder / f"back/run_01/{name}.csv").open() as file:
+            columns[key] = [float(row[key]) for row in csv.DictReader(file)]
+    assert min(columns["throttle"]) == -0.5
+    assert min(columns["speed"]) < -0.1
+
+
 def test_a_model_without_priors_is_refused_at_its_parameters(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = (ROOT / "configs" / "vehicles" / "mushr-lag.yaml").read_text(encoding="utf-8")
     (folder / "bare.yaml").write_text(text.replace(", std: 0.2", "").split("identification:")[0], encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +14,7 @@ from kraft.sysid.base_vehicle import load_base_vehicle
 from kraft.sysid.interface import ModelTrial
 from kraft.sysid.parameters import parameter_specs
 from kraft.vehicles.config import VehicleConfig
-from kraft.vehicles.load import configured
+from kraft.vehicles.load import configured, load_vehicle
 from kraft_cli.work.sysid import SysidRequest, SysidResult, _bounds_note, _braking_note
 from kraft_cli.work.sysid_report import BY_MODEL, choice_lines, model_caption
 
@@ -65,6 +66,10 @@ def test_a_file_of_a_car_without_brakes_is_noted(least: float, says: bool) -> No
     assert bool(noted) == says
     assert all("car.yaml neither brakes nor drives backwards" in note for note in noted)
     assert _braking_note(SysidRequest(logs=()), car) == ()
+    for note in noted:
+        named = re.search(r"kraft record --commands FILE .* --vehicle of .* such as ([a-z0-9-]+)\)", note)
+        assert named is not None
+        assert load_vehicle(named[1]).controls["throttle"][0] < 0.0
 
 
 def test_bounds_that_nobody_states_are_noted_and_leave_an_offset_its_sign() -> None:
