@@ -18,6 +18,7 @@ from kraft.planning.compilation import ensure_compiled
 from kraft.planning.workspace import vehicle_of_task
 from kraft.recording.manoeuvres import Manoeuvre, read_commands
 from kraft.scenario import Scenario, load_scenario
+from kraft.text import counted
 from kraft.trial.far_camera import far_camera
 from kraft.trial.planning_vehicle import other_robot
 from kraft.vehicles import is_car
@@ -179,7 +180,25 @@ def record_logs(
             _write_missing_bag(request, inputs, recorder, drive, number, runs)
         if on_run is not None:
             on_run(done[-1])
+    if prior is not None and (lost := _cut_short(request, [(run, drives[k][0].end) for k, run in enumerate(done)])):
+        report(lost)
     return Recording(tuple(done), _model_to_state(request, scenario, vehicle))
+
+
+def _cut_short(request: RecordRequest, runs: Sequence[tuple[RecordedRun, float]]) -> str:
+    """What to say of planned drives that ended before their planned end (s), and what shows more; else empty."""
+    ended = [f"after {run.duration:.1f} of {end:.1f} s" for run, end in runs if run.note]
+    if not ended:
+        return ""
+    named = [] if request.vehicle is None else ["--vehicle", request.vehicle]
+    scenario = [] if request.scenario == RecordRequest.scenario else [request.scenario]
+    identify = shlex.join(["kraft", "sysid", str(request.out), "--out", "my.yaml"])
+    again = shlex.join(["kraft", "record", *scenario, *named, "--for", "my.yaml", "--out", "more"])
+    return (
+        f"{len(ended)} of {counted(len(runs), 'planned drive')} ended early ({', '.join(ended)}): their paths were "
+        f"planned with what {request.model} states, and the vehicle left them; {identify} and then {again} plan with "
+        "what these logs have shown, and a scenario with larger bounds leaves more room"
+    )
 
 
 def unused_controls(model: VehicleModel) -> str:

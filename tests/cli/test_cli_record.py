@@ -14,7 +14,7 @@ from support.paths import ROOT
 
 from kraft.config import bundled
 from kraft.driving.vehicle_model import model_of
-from kraft.recording import experiment
+from kraft.recording import experiment, recorder
 from kraft.recording.recorder import Recorder
 from kraft.scenario import load_scenario
 from kraft.sysid.information import known_before
@@ -178,6 +178,22 @@ def test_recommended_drives_are_driven_and_their_commands_can_be_driven_again(
     assert main(["record", "--commands", "planned", "--out", "again", "-q"]) == 0
     assert Path("again/run_01/commands.csv").read_text() == sent
     assert json.loads(Path("again/run_01/manifest.json").read_text())["manoeuvre"] == "run_01"
+
+
+def test_planned_drives_that_end_early_say_what_was_lost_and_how_to_get_more(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(experiment, "FIRST", 10)
+    monkeypatch.setattr(experiment, "ROUNDS", 0)
+    arguments = ["record", "--vehicle", "mushr-lag", "--for", "mushr-lag", "--runs", "1"]
+    assert main([*arguments, "--out", "whole"]) == 0
+    assert "ended early" not in capsys.readouterr().err
+    end = json.loads((folder / "whole/run_01/manifest.json").read_text())["end"]
+    monkeypatch.setattr(recorder, "STOP", 100.0)  # as if an obstacle were everywhere
+    assert main([*arguments, "--out", "short"]) == 0
+    *_, line = capsys.readouterr().err.splitlines()
+    assert re.match(rf"1 of 1 planned drive ended early \(after 0\.\d of {end:.1f} s\): ", line)
+    assert "kraft sysid short --out my.yaml and then kraft record --vehicle mushr-lag --for my.yaml --out more" in line
 
 
 def test_the_commands_that_the_documentation_states_brake_and_drive_backwards(folder: Path) -> None:
