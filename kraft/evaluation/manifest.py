@@ -110,9 +110,14 @@ def read_manifest(path: Path) -> dict[str, Any]:
         problem = f"has the schema {content['schema']!r}"
         raise InputError.of(str(path), problem, f"expected {MANIFEST_SCHEMA!r}", Code.MISMATCH)
     rows = content.get("rows")
-    if not isinstance(rows, list) or not all(isinstance(row, dict) and row.keys() >= ROW_KEYS for row in rows):
+    if not isinstance(rows, list) or not all(map(_is_row, rows)):
         raise InputError([Diagnostic(str(path), "is damaged", expected, path="rows", code=Code.SYNTAX)])
     return content
+
+
+def _is_row(row: Any) -> bool:
+    """Whether a row has its keys, and names as their values."""
+    return isinstance(row, dict) and all(isinstance(row.get(key), str) for key in ROW_KEYS)
 
 
 def check_continues(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) -> bool:

@@ -193,7 +193,11 @@ def test_a_missing_method_or_scenario_is_reported_once_and_not_by_its_vehicle_to
     assert [each.path for each in caught.value.diagnostics] == ["scenarios.track"]
 
 
-@pytest.mark.parametrize("damage", [{"methods": None}, {"trials": "2"}, {"methods": {}}])
+ROW = {"scenario": "turns", "method": "kraft", "vehicle": ["mushr"]}
+DAMAGE = [{"methods": None}, {"trials": "2"}, {"methods": {}}, {"rows": [ROW]}, {"rows": [{"scenario": "turns"}]}]
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
 def test_a_damaged_manifest_is_not_replaced(tmp_path: Path, damage: dict[str, Any]) -> None:
     run(tmp_path / "out", 2)
     path = tmp_path / "out/manifest.json"
