@@ -186,18 +186,14 @@ def record_logs(
 
 
 def _cut_short(request: RecordRequest, runs: Sequence[tuple[RecordedRun, float]]) -> str:
-    """What to say of planned drives that ended before their planned end (s), and what shows more; else empty."""
+    """What to say of planned drives that ended before their planned end (s), and what to do; else empty."""
     ended = [f"after {run.duration:.1f} of {end:.1f} s" for run, end in runs if run.note]
     if not ended:
         return ""
-    named = [] if request.vehicle is None else ["--vehicle", request.vehicle]
-    scenario = [] if request.scenario == RecordRequest.scenario else [request.scenario]
-    identify = shlex.join(["kraft", "sysid", str(request.out), "--out", "my.yaml"])
-    again = shlex.join(["kraft", "record", *scenario, *named, "--for", "my.yaml", "--out", "more"])
     return (
         f"{len(ended)} of {counted(len(runs), 'planned drive')} ended early ({', '.join(ended)}): their paths were "
-        f"planned with what {request.model} states, and the vehicle left them; {identify} and then {again} plan with "
-        "what these logs have shown, and a scenario with larger bounds leaves more room"
+        f"planned with what {request.model} states, and the vehicle left them; a scenario with larger bounds "
+        "leaves more room, and kraft record without --for drives manoeuvres that need no priors"
     )
 
 
