@@ -134,7 +134,8 @@ def _round_step(least: float) -> float:
 def draw_obstacle(axes: Axes, frame: Frame, obstacle: Obstacle, number: int, scale: float) -> None:
     """One obstacle, with its name where there is room for it.
 
-    One without a name has its `number` instead, the place in the scenario's list by which messages call it.
+    One without a name, or whose name does not fit, has its `number` instead: the place in the scenario's list by which
+    messages call those without a name.
     """
     if isinstance(obstacle, OccupancyMap):
         _draw_cells(axes, frame, obstacle)
@@ -145,13 +146,27 @@ def draw_obstacle(axes: Axes, frame: Frame, obstacle: Obstacle, number: int, sca
         {"facecolor": SOLID, "zorder": 2.9},
     ):
         axes.add_patch(_shape(frame, obstacle, shape_style))
-    center, room = widest_place(obstacle)
-    text = obstacle.name or str(number)
-    sizes = (SMALL,) if obstacle.name else (SMALL, TINY)  # walls are thin, and their numbers short
-    size = next((size for size in sizes if text_width(text, size) / 72 < 0.9 * room * scale), None)
-    if size is not None:
+    center, _ = widest_place(obstacle)
+    texts = [obstacle.name, str(number)] if obstacle.name else [str(number)]
+    written = [(text, size) for text in texts for size in (SMALL, TINY)]
+    fitting = next((pair for pair in written if _has_room(frame, obstacle, *pair, scale)), None)
+    if fitting is not None:
+        text, size = fitting
         style: Style = {"fontsize": size, "color": "#4a515c", "ha": "center", "va": "center", "zorder": 3.1}
         axes.text(*_pair(frame.points(center)), text, parse_math=False, clip_on=True, **style)
+
+
+def _has_room(frame: Frame, obstacle: Box | Circle | Polygon, text: str, size: float, scale: float) -> bool:
+    """Whether a text of `size` pt is as wide as the obstacle's largest disc at most, or lies inside a box."""
+    width, height = text_width(text, size) / 72 / scale, size / 72 / scale  # m
+    if width < 0.9 * widest_place(obstacle)[1]:  # digits may touch the edges of a thin wall
+        return True
+    if not isinstance(obstacle, Box):
+        return False
+    turn = frame.heading(obstacle.yaw)
+    c, s = abs(math.cos(turn)), abs(math.sin(turn))
+    length, breadth = obstacle.size
+    return width * c + height * s < 0.9 * length and width * s + height * c < 0.9 * breadth
 
 
 def _shape(frame: Frame, obstacle: Box | Circle | Polygon, shape_style: Mapping[str, Any]) -> Patch:

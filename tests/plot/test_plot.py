@@ -296,3 +296,15 @@ def test_obstacles_without_a_name_have_the_number_by_which_messages_call_them() 
     assert [text for text in texts if text.isdigit()] == [str(number) for number in range(2, 14)]
     assert task.obstacle_labels[2] == "obstacles[2]"
     assert {"column", "rock"} <= set(texts)
+
+
+def test_a_named_obstacle_has_its_name_or_its_number_whatever_its_shape() -> None:
+    obstacles = (
+        Box((4.0, 4.5), (2.0, 0.4), name="bookshelf"),
+        Box((6.0, 7.0), (3.0, 0.9), math.radians(20), name="truck"),
+        Box((3.0, 7.0), (0.3, 0.3), name="pillar of the hall"),
+    )
+    task = dataclasses.replace(MIXED, bounds=Bounds(x=(0, 12), y=(0, 9)), obstacles=obstacles)
+    with plot_style():
+        drawn = compose(PlanPicture.of(task, CAR, None, fan(0), 1.0), "", {})
+    assert [text.get_text() for text in drawn.axes[0].texts][:3] == ["bookshelf", "truck", "2"]
