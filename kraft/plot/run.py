@@ -32,7 +32,17 @@ from kraft.plot.page import (
     lay_out,
     quantity,
 )
-from kraft.plot.scene import PoseTrajectory, arrowheads, draw_goal, draw_obstacle, draw_start, draw_workspace, outlines
+from kraft.plot.scene import (
+    PoseTrajectory,
+    arrowheads,
+    draw_goal,
+    draw_obstacle,
+    draw_start,
+    draw_workspace,
+    outlines,
+    points_inside,
+    widest_place,
+)
 from kraft.plot.style import (
     CYCLE,
     DASHED,
@@ -46,11 +56,11 @@ from kraft.plot.style import (
     plot_style,
     write_picture,
 )
-from kraft.scenario import Start, Task
+from kraft.scenario import OccupancyMap, Start, Task
 from kraft.simulation.appearance import HiddenFeature
 from kraft.trial.result import Outcome, TrialResult, outcome_text
 from kraft.vehicles import control_title
-from ompl_ext.arrays import Floats
+from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle
 
@@ -138,7 +148,7 @@ def _draw_map(
     axes.add_collection(line, autolim=False)
     start = np.array([task.start.x, task.start.y, task.start.heading])
     draw_start(axes, frame, vehicle, start)
-    draw_labels(axes, frame, _labels(drive, task, vehicle), _avoided_points(drive), scale)
+    draw_labels(axes, frame, _labels(drive, task, vehicle), _avoided_points(drive, task), scale)
 
 
 def _labels(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list[Label]:
@@ -153,8 +163,22 @@ def _labels(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list[Label
     return labels
 
 
-def _avoided_points(drive: DrivenTrajectory) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    return np.column_stack([drive.motion.poses[:, :2], np.ones(len(drive.motion.poses))])
+HIT_GRID: Final = 10
+"""Points along each axis of the obstacle that was hit, which labels should not cover."""
+LABELLED: Final = 20.0
+"""Weight of the place of an obstacle's own label."""
+
+
+def _avoided_points(drive: DrivenTrajectory, task: Task) -> Matrix:
+    """Points (n, 3) that labels should not cover: x, y in m and a weight."""
+    weighted = [(drive.motion.poses[:, :2], 1.0)]
+    for obstacle, label in zip(task.obstacles, task.obstacle_labels, strict=True):
+        if isinstance(obstacle, OccupancyMap):
+            continue
+        weighted.append((widest_place(obstacle)[0][None, :], LABELLED))
+        if label == drive.result.obstacle:
+            weighted.append((points_inside(obstacle, HIT_GRID), 1.0))
+    return np.vstack([np.column_stack([points, np.full(len(points), weight)]) for points, weight in weighted])
 
 
 def _legend_entries(

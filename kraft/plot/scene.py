@@ -183,9 +183,7 @@ def widest_place(obstacle: Box | Circle | Polygon) -> tuple[Floats, float]:
     if isinstance(obstacle, Box):
         return np.array(obstacle.center), min(obstacle.size)
     vertices = np.array(obstacle.vertices)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    grid = np.stack(np.meshgrid(*np.linspace(low, high, 32)[1:-1].T), axis=-1).reshape(-1, 2)
-    grid = grid[Outline(vertices).contains_points(grid)]
+    grid = points_inside(obstacle, 30)
     if not len(grid):  # a sliver
         return vertices.mean(axis=0), 0.0
     along = np.roll(vertices, -1, axis=0) - vertices
@@ -193,6 +191,22 @@ def widest_place(obstacle: Box | Circle | Polygon) -> tuple[Floats, float]:
     nearest = vertices + np.clip(part, 0.0, 1.0)[..., None] * along
     room = np.linalg.norm(grid[:, None] - nearest, axis=-1).min(axis=1)
     return grid[room.argmax()], 2 * float(room.max())
+
+
+def points_inside(obstacle: Box | Circle | Polygon, count: int) -> Matrix:
+    """Points (n, 2), m, of a grid of `count` x `count` over the obstacle's extent that are inside it."""
+    if isinstance(obstacle, Circle):
+        low, high = (np.array(obstacle.center) + sign * obstacle.radius for sign in (-1.0, 1.0))
+    else:
+        vertices = np.array(obstacle.corners if isinstance(obstacle, Box) else obstacle.vertices)
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+    grid: Matrix = np.stack(np.meshgrid(*np.linspace(low, high, count + 2)[1:-1].T), axis=-1).reshape(-1, 2)
+    if isinstance(obstacle, Circle):
+        is_inside = np.hypot(*(grid - obstacle.center).T) < obstacle.radius
+    else:
+        is_inside = Outline(vertices).contains_points(grid)
+    found: Matrix = grid[is_inside]
+    return found
 
 
 def _draw_cells(axes: Axes, frame: Frame, cells: OccupancyMap) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -25,7 +26,7 @@ from kraft.plot.run import (
     run_footprint_interval,
 )
 from kraft.plot.style import plot_style
-from kraft.scenario import load_scenario
+from kraft.scenario import Box, load_scenario
 from kraft.simulation.appearance import hidden_features
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
@@ -190,3 +191,22 @@ def test_run_draws_what_it_drove_and_refuses_before_it_drives(
     assert "MUJOCO_GL=off draws nothing" in err
     assert "to goal" not in err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.png", "short.yaml"]
+
+
+@pytest.mark.parametrize("size", [(0.5, 0.5), (1.0, 0.5), (0.5, 1.4)])
+def test_the_label_of_a_collision_leaves_the_label_of_the_obstacle_free(
+    size: tuple[float, float], driven: TrialResult
+) -> None:
+    x, y, _ = driven.steps[-1].pose
+    offsets = [(0.0, 0.5), (0.0, -0.5), (0.5, 0.0), (-0.5, 0.0)]
+    for across, along in offsets:
+        center = (x + across * (size[0] + 0.3), y + along * (size[1] + 0.3))
+        task = dataclasses.replace(MOVABLE.task(), obstacles=(Box(center, size),))
+        result = dataclasses.replace(driven, outcome=Outcome.COLLISION, obstacle="obstacles[0]")
+        with plot_style():
+            page = _compose(DrivenTrajectory.of(result, MOVABLE.start), task, MUSHR, "title", {}, ())
+        FigureCanvasAgg(page).draw()  # type: ignore[no-untyped-call]
+        drawn = {text.get_text(): text for text in page.axes[0].texts}
+        label = drawn["collision with\nobstacles[0]"].get_bbox_patch()
+        assert label is not None
+        assert not label.get_window_extent().overlaps(drawn["0"].get_window_extent())
