@@ -374,3 +374,12 @@ def test_an_outsider_s_folder_is_not_written_to() -> None:
     with refused(("empty", Code.NOT_FOUND)):
         write_report(Path("empty"))
     assert list(Path("empty").iterdir()) == []
+
+
+def test_numbers_of_obstacles_have_the_colour_of_text_without_a_halo_and_are_smaller_in_replays() -> None:
+    style = (ROOT / "kraft/evaluation/report/style.css").read_text(encoding="utf-8")
+    rules = dict(re.findall(r"^(\S+ \.number) \{(.*?)\}", style, re.MULTILINE | re.DOTALL))
+    assert "fill: var(--ink);" in rules[".floor .number"]
+    assert "stroke" not in rules[".floor .number"]
+    sizes = {place: float(re.findall(r"font-size: ([\d.]+)px", rule)[0]) for place, rule in rules.items()}
+    assert sizes["#stage .number"] < sizes[".floor .number"]
