@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -172,6 +172,10 @@ def _shown_by_both_sides(vehicle: VehicleConfig, steered: SteeringInMotion) -> t
     return () if steered.both_sides else tuple(name for name in BOTH_SIDES if name in vehicle.parameters)
 
 
+SEVERAL_VALUES: Final = "expected drives in which it takes several values, such as forward and coasting"
+"""Expected of a control other than the steering."""
+
+
 def check_controls(logs: Sequence[Log], steered: SteeringInMotion) -> None:
     """Refuse logs in which a control never changes: nothing shows what it does.
 
@@ -181,11 +185,12 @@ def check_controls(logs: Sequence[Log], steered: SteeringInMotion) -> None:
     problems = []
     for name in logs[0].controls:
         values = np.concatenate([part.commands[:, log.controls.index(name)] for log in logs for part in log.parts])
-        expected = "expected drives in which it takes several values, left and right, or forward and coasting"
+        expected = "expected drives with arcs to both sides" if name == "steering" else SEVERAL_VALUES
         if np.ptp(values) <= 0.0:
-            problems.append(Diagnostic("logs", f"{name} is always {values[0]:g}", expected, code=Code.DATA))
+            problem = f"have commands in which {name} is always {values[0]:g}"
+            problems.append(Diagnostic("logs", problem, expected, code=Code.DATA))
         elif name == "steering" and not steered.varies:
-            problem = "steering hardly changes while the vehicle moves"
+            problem = "have commands whose steering hardly changes while the vehicle moves"
             problems.append(Diagnostic("logs", problem, expected, code=Code.DATA))
     if problems:
         raise InputError(problems)

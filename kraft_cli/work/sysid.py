@@ -146,6 +146,8 @@ def run_sysid(request: SysidRequest, info: MessageSink, warn: MessageSink, detai
         evaluation = evaluate_predictions(base.definition, split, identification, settings)
     except InputError as error:  # a problem of the logs: everything else was checked
         _draw_logs(request, base, split, error)
+        if request.plot is not None:
+            info(f"picture {request.plot}")
         report_problems(error, warn)
         raise NegativeResult("the parameters cannot be identified from these logs", error.diagnostics) from None
     unknown = (

@@ -60,17 +60,22 @@ def test_logs_of_which_no_model_may_be_made_end_with_1_and_with_what_to_do(
     assert not (folder / "my.yaml").exists()
 
 
-@pytest.mark.parametrize(("column", "said_of"), [(1, "throttle"), (2, "steering")])
+@pytest.mark.parametrize(
+    ("column", "said_of", "to_drive"),
+    [(1, "throttle", "drives in which it takes several values"), (2, "steering", "drives with arcs to both sides")],
+)
 def test_a_control_that_never_changes_is_said_and_nothing_that_follows_from_it(
-    column: int, said_of: str, folder: Path, capsys: pytest.CaptureFixture[str]
+    column: int, said_of: str, to_drive: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Drives that turn or accelerate by themselves look like those of two cars, or like a hand on the car."""
     for run in (folder / "logs").iterdir():
         if run.is_dir():
             rewrite(run, "commands.csv", lambda c: np.where(np.arange(3) == column, 0.2, c))
-    assert main(["sysid", "logs", "--out", "my.yaml"]) == 1
+    assert main(["sysid", "logs", "--out", "my.yaml", "--plot", "my.png"]) == 1
     err = said(capsys)
-    assert any(f"{said_of} is always 0.2; expected drives in which it takes several values" in line for line in err)
+    assert f"logs: have commands in which {said_of} is always 0.2; expected {to_drive}" in "\n".join(err)
+    assert "picture my.png" in err
+    assert (folder / "my.png").exists()
     assert not any("two groups" in line or "no model explains" in line for line in err)
     assert not (folder / "my.yaml").exists()
 

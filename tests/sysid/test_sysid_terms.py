@@ -367,7 +367,7 @@ def test_a_constant_throttle_is_said_and_not_the_limits_that_follow_from_it() ->
     commands = np.column_stack([np.full(len(part.commands), 0.5), part.commands[:, 1]])
     with pytest.raises(InputError) as refused:
         identify_car([replace(driven, parts=(replace(part, commands=commands),))])
-    assert [found.problem for found in refused.value.diagnostics] == ["throttle is always 0.5"]
+    assert [found.problem for found in refused.value.diagnostics] == ["have commands in which throttle is always 0.5"]
 
 
 def test_steering_that_changes_only_at_rest_is_refused() -> None:
