@@ -71,16 +71,27 @@ def check_same_recording(finished: Iterable[FinishedRun], described: Mapping[str
     `described` are the keys that all its manifests have.
 
     Raises:
-        InputError: with every difference, at the first run that has it.
+        InputError: with every difference, at the first run that has it; one for all runs if `runs` is too small.
     """
+    finished = tuple(finished)
     now = json.loads(json.dumps(dict(described)))
     found: dict[tuple[str, str], Diagnostic] = {}
+    last = max((run.number for run in finished), default=0)
+    stated = [number for run in finished if isinstance(number := run.manifest["arguments"].get("runs"), int)]
+    # a folder that states `runs` itself has a run of another recording; files of commands are as many as the runs
+    too_few = runs < min(last, max(stated, default=0)) and "commands" not in now["arguments"]
+    if too_few:
+        problem, expected = (
+            f"is {runs}, the folder has runs up to {last}",
+            f"expected {last} or more: runs are kept",
+        )
+        found["runs", problem] = Diagnostic("runs", problem, expected, code=Code.MISMATCH, argument=True)
     for run in finished:
         for path, problem in _differences(run, now):
-            found.setdefault(
-                (path, problem), Diagnostic(run.manifest_file, problem, OTHER, path=path, code=Code.MISMATCH)
-            )
-        if run.number > runs:
+            if not (too_few and path == "arguments.runs"):
+                difference = Diagnostic(run.manifest_file, problem, OTHER, path=path, code=Code.MISMATCH)
+                found.setdefault((path, problem), difference)
+        if run.number > runs and not too_few:
             problem, expected = f"is run {run.number} of {runs}", "expected the folder removed, or another folder"
             found[str(run.folder), problem] = Diagnostic(str(run.folder), problem, expected, code=Code.MISMATCH)
     if found:

@@ -106,6 +106,20 @@ def test_a_recording_gets_more_runs_and_keeps_its_own(folder: Path, monkeypatch:
     assert other == ["run_01/manifest.json"], "it says that there was one run"
 
 
+def test_fewer_runs_than_there_are_is_one_problem_with_the_number_to_give(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["record", "--runs", "2", "-q"]) == 0
+    before = contents(folder)
+    capsys.readouterr()
+    assert main(["record", "--resume", "--runs", "1"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "--runs: is 1, the folder has runs up to 2; expected 2 or more: runs are kept"
+    assert main(["record", "--resume", "--runs", "1", "--seed", "5"]) == 2
+    assert "arguments.seed: was 0, is 5 now; " in capsys.readouterr().err, "other differences are told too"
+    assert contents(folder) == before
+
+
 def test_a_run_that_is_missing_between_others_is_driven_again(folder: Path) -> None:
     assert main(["record", "--runs", "3", "-q"]) == 0
     before = contents(folder)
