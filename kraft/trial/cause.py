@@ -119,7 +119,7 @@ def collision_cause(
     if allowed is not None:
         text += f", where {allowed:.3f} m were allowed"
     if error is None:
-        return Cause(kind=CauseKind.DEVIATION, text=f"{text}, and no estimated pose had a part in its commands")
+        return Cause(kind=CauseKind.DEVIATION, text=f"{text}, and its commands depended on no estimated pose")
     kind = CauseKind.ESTIMATE_WRONG if error >= deviation / 2.0 else CauseKind.DEVIATION
     return Cause(kind=kind, text=f"{text}, and its estimated pose was wrong by {error:.3f} m")
 

@@ -119,7 +119,7 @@ def test_the_one_estimate_that_a_later_cycle_was_planned_from_is_its_cause() -> 
 def test_commands_that_use_no_estimate_are_not_led_astray_by_one() -> None:
     found = cause_of([cycle(0)], steps(1.9, aside=0.5, wrong=0.4), feedback=False)
     assert found.kind == CauseKind.DEVIATION
-    assert found.text.endswith("and no estimated pose had a part in its commands")
+    assert found.text.endswith("and its commands depended on no estimated pose")
 
 
 def test_a_contact_beyond_the_footprint_is_that_of_a_part_that_it_does_not_cover() -> None:
