@@ -132,7 +132,7 @@ class PlannerSettings(StrictModel):
     margin: NonNegative = 0.0
     """distance that every part of a plan keeps from obstacles: the footprint is planned that much larger, m"""
     goal_margin: NonNegative = 0.0
-    """how much smaller the region is that the planner aims for, m; then also half the tolerances of a goal's heading"""
+    """how much smaller the region is that the planner aims for, m; half the tolerances if the goal has limits too"""
     safety: Clearance | None = None
     """clearance of plans and contingencies in the coming cycle; without it plans are only free of collisions"""
     bound: CalibratedBound | None = None

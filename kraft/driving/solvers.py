@@ -107,11 +107,12 @@ class Solvers:
 def aimed_for(goal: Goal, margin: float) -> Goal:
     """Region within a goal that a method with a margin (m) aims for.
 
-    The cheapest plan ends at the border of its region.  Where the goal has a heading, a vehicle that ends there beside
-    its plan needs another manoeuvre: it aims for half of the tolerance too, and of limits that include zero.
+    The cheapest plan ends at the border of its region.  Where the goal has a heading and limits, as in parking, a
+    vehicle that ends there beside its plan needs another manoeuvre: it aims for half of the tolerance too, and of
+    limits that include zero.  Into a goal without limits it drives on.
     """
     radius = max(goal.radius - margin, LEAST_GOAL * goal.radius)
-    if margin == 0.0 or not goal.has_heading:
+    if margin == 0.0 or not (goal.has_heading and goal.limits):
         return replace(goal, radius=radius)
     tolerance = max(LEAST_GOAL * goal.tolerance, min(goal.tolerance, MIN_GOAL_TOLERANCE))
     limits = {

@@ -93,6 +93,8 @@ def test_without_a_heading_or_a_margin_only_the_radius_is_smaller() -> None:
     assert aimed_for(resting, 0.1) == replace(resting, radius=0.3 - 0.1)
     parked = replace(resting, heading=0.5, tolerance=0.1)
     assert aimed_for(parked, 0.0) == parked
+    passed = replace(parked, limits={})
+    assert aimed_for(passed, 0.1) == replace(passed, radius=0.3 - 0.1)
 
 
 def test_a_plan_keeps_the_margin_to_its_end_and_the_clearance_as_far_as_foresight_reaches() -> None:
