@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 from kraft_cli.terminal import Terminal
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from kraft.evaluation import Summary, TrialRow
     from kraft.evaluation.comparison import Comparison
     from kraft.evaluation.table import Table
@@ -24,7 +26,6 @@ REMARK_MANY = "The tables of the entries, with intervals and measures, are in re
 def show_rows(terminal: Terminal, rows: Sequence[tuple[str, str]], *, good: bool) -> None:
     """Print labels and values; on a terminal the colour of `result` depends on `good`."""
     from rich import box
-    from rich.console import Console
     from rich.table import Table as Grid
 
     if not terminal.out.isatty():
@@ -37,7 +38,7 @@ def show_rows(terminal: Terminal, rows: Sequence[tuple[str, str]], *, good: bool
     grid.add_column(overflow="fold")
     for label, value in rows:
         grid.add_row(label, value, style=("bold green" if good else "bold yellow") if label == "result" else None)
-    Console(file=terminal.out, highlight=False, markup=False).print(grid)
+    _console(terminal).print(grid)
 
 
 def show_tables(terminal: Terminal, summary: Summary) -> None:
@@ -82,9 +83,7 @@ def show_unsuccessful(terminal: Terminal, rows: Sequence[TrialRow], folder: Path
     terminal.data("")
     terminal.data(f"{counted(len(found), 'trial')} did not succeed")
     if terminal.out.isatty():
-        from rich.console import Console
-
-        console = Console(file=terminal.out, highlight=False, markup=False)
+        console = _console(terminal)
         for entry, method, seed, outcome, cause, replay in cells:  # wrapped: columns would be left out
             console.print(f"{entry}, {method}, seed {seed}: {outcome} ({cause}), {replay}", overflow="fold")
     else:
@@ -120,9 +119,7 @@ def _show_all(terminal: Terminal, tables: Sequence[Table], meanings: Mapping[str
         shown.update(table.heading)
     _show_meanings(terminal, [(name, meaning) for name, meaning in meanings.items() if name in shown])
     if left_out:
-        from rich.console import Console
-
-        console = Console(file=terminal.out, highlight=False, markup=False)
+        console = _console(terminal)
         text = f"no room for {', '.join(left_out)}: a wider terminal, a pipe and --json have them"
         console.print(text, style="dim", overflow="fold")
 
@@ -134,13 +131,12 @@ def _show_meanings(terminal: Terminal, meanings: Sequence[tuple[str, str]]) -> N
         for name, meaning in meanings:
             terminal.data(f"{name:<{width}}  {meaning}")
         return
-    from rich.console import Console
     from rich.table import Table as Grid
 
     grid = Grid.grid(padding=(0, 2))
     for name, meaning in meanings:
         grid.add_row(name, meaning)
-    Console(file=terminal.out, highlight=False, markup=False).print(grid, style="dim")
+    _console(terminal).print(grid, style="dim")
 
 
 def _show_overview(terminal: Terminal, table: Table) -> None:
@@ -150,10 +146,9 @@ def _show_overview(terminal: Terminal, table: Table) -> None:
         terminal.data("")
         return
     from rich import box
-    from rich.console import Console
     from rich.table import Table as Grid
 
-    console = Console(file=terminal.out, highlight=False, markup=False)
+    console = _console(terminal)
     headings = [heading.replace(" ", "\n") for heading in table.heading]
     for columns in _fitting(table, headings, console.width):
         grid = Grid(box=box.ROUNDED, border_style="dim")
@@ -183,10 +178,9 @@ def _fitting(table: Table, headings: Sequence[str], width: int) -> list[list[int
 def _rich(terminal: Terminal, table: Table) -> Sequence[str]:
     """Print as many columns as fit, and return their headings."""
     from rich import box
-    from rich.console import Console
     from rich.table import Table as Grid
 
-    console = Console(file=terminal.out, highlight=False, markup=False)
+    console = _console(terminal)
     fitted = table.fitted(console.width - 4, gap=3)
     grid = Grid(
         title=table.title or None, box=box.ROUNDED, border_style="dim", title_justify="left", title_style="bold"
@@ -198,3 +192,10 @@ def _rich(terminal: Terminal, table: Table) -> Sequence[str]:
         grid.add_row(*row, style="bold" if row[0] == "KRAFT" else None)
     console.print(grid)
     return fitted.heading
+
+
+def _console(terminal: Terminal) -> Console:
+    """What tables and wrapped lines are printed with: text as it is, without markup."""
+    from rich.console import Console  # loading it takes time
+
+    return Console(file=terminal.out, highlight=False, markup=False)
