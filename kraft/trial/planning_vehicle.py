@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from kraft.config import bundled
 from kraft.driving.method import Adaptive, Method, check_vehicle
 from kraft.errors import InputError
 from kraft.planning.workspace import vehicle_of_task
@@ -40,8 +41,9 @@ def planning_vehicle(scenario: Scenario, method: Method, vehicle: str | None = N
 def vehicle_reference(scenario: Scenario, method: Method, vehicle: str | None = None) -> str:
     """Reference of the model that the robot plans with: `vehicle`, else the method's own, else the scenario's.
 
-    The method's own is used if it is a model of the robot that the scenario's vehicle is a model of.  A path in a
-    method file is relative to that file, also if another method has it from there.
+    The method's own is used if it is a model of the robot that the scenario's vehicle is a model of.  A bundled one
+    never replaces one that is not bundled: a vehicle of the user's own is meant.  A path in a method file is
+    relative to that file, also if another method has it from there.
 
     Raises:
         InputError: if the method's reference is wrong, reported at its line.
@@ -53,15 +55,29 @@ def vehicle_reference(scenario: Scenario, method: Method, vehicle: str | None = 
     except VehicleProblem as error:
         problem = method.source.diagnostic("planner.vehicle", error.problem, error.expected, code=error.code)
         raise InputError([problem]) from None
+    names = bundled.names("vehicle")
+    if own in names and scenario.vehicle not in names:
+        return scenario.vehicle
     if own == scenario.vehicle or _are_of_one_robot(load_vehicle(own), vehicle_of_task(scenario)):
         return own
     return scenario.vehicle
 
 
 def _are_of_one_robot(one: Vehicle, other: Vehicle) -> bool:
-    """Whether two vehicles are models of the same robot: the same is true of both where a scenario states nothing."""
+    """Whether two vehicles are models of one robot: as large, and the same is true where a scenario states nothing."""
     (robot, _), (other_robot, _) = natural_robot(one), natural_robot(other)
-    return robot == other_robot and sorted(one.controls) == sorted(other.controls)
+    same = robot == other_robot and sorted(one.controls) == sorted(other.controls)
+    return same and _are_alike(_size(one), _size(other))
+
+
+def _size(vehicle: Vehicle) -> tuple[float, float]:
+    """Length and width of a vehicle's footprint, m."""
+    return vehicle.footprint.length, vehicle.footprint.width
+
+
+def _are_alike(size: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether a body may stand for another, by lengths and widths (m)."""
+    return all(1.0 / ALIKE < one / two < ALIKE for one, two in zip(size, other, strict=True))
 
 
 def load_planning_vehicle(scenario: Scenario, reference: str) -> Vehicle:
@@ -147,9 +163,7 @@ def _outline(robot: Robot, scenario: Scenario | None, vehicle: Vehicle) -> Footp
 def _by_default(vehicle: Vehicle) -> str:
     """What to say of the MuSHR that drives because nothing else is stated."""
     shape, size, top_speed = vehicle.footprint, CAR_SIZES["mushr"], load_vehicle(MUSHR).top_speed
-    ratios = [stated / true for stated, true in zip((shape.length, shape.width), size, strict=True)]
-    alike = all(1.0 / ALIKE < ratio < ALIKE for ratio in ratios)
-    if alike and 1.0 / ALIKE_SPEED < vehicle.top_speed / top_speed < ALIKE_SPEED:
+    if _are_alike(_size(vehicle), size) and 1.0 / ALIKE_SPEED < vehicle.top_speed / top_speed < ALIKE_SPEED:
         return ""
     return (
         f"the true robot is the MuSHR ({size[0]:g} m x {size[1]:g} m, top speed {top_speed:.2g} m/s) "

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from support.paths import ROOT
 
 from kraft.driving.method import load_method
 from kraft.scenario import load_scenario
@@ -63,6 +64,23 @@ def test_a_method_plans_with_its_own_model_if_that_is_one_of_the_scenes_robot() 
     found = {name: vehicle_reference(load_scenario(name), kraft) for name in ("turns", "track", "posts")}
     assert found == {"turns": "mushr-drive", "track": "f1tenth", "posts": "jackal"}
     assert vehicle_reference(load_scenario("track"), kraft, "mushr") == "mushr"
+
+
+def test_a_bundled_model_never_replaces_a_vehicle_of_the_users_own(scene: Path, tmp_path: Path) -> None:
+    text = (ROOT / "configs/vehicles/mushr-drive.yaml").read_text(encoding="utf-8")
+    mine, theirs = tmp_path / "mine.yaml", tmp_path / "theirs.yaml"
+    mine.write_text(text, encoding="utf-8")
+    theirs.write_text(text, encoding="utf-8")
+    own = load_scenario("turns", {"vehicle": str(mine)})
+    assert vehicle_reference(own, load_method("kraft")) == str(mine)
+    assert vehicle_reference(own, load_method("adaptive-kraft")) == str(mine)
+    method = tmp_path / "method.yaml"
+    method.write_text(f"name: mine\ntitle: Mine\nbase: kraft\nplanner: {{vehicle: {theirs}}}\n", encoding="utf-8")
+    assert vehicle_reference(own, load_method(method)) == str(theirs)  # both are the user's own
+    theirs.write_text(
+        text.replace("{length: 0.44, width: 0.28, offset: -0.005}", "{length: 2.6, width: 1.1}"), encoding="utf-8"
+    )
+    assert vehicle_reference(own, load_method(method)) == str(mine)  # of another robot
 
 
 def test_the_result_says_which_controller_drove(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
