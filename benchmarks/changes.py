@@ -70,7 +70,7 @@ def run(effort: Effort) -> Report:
         f"{effort.method} in {' and '.join(SCENES)}; changes at {TIMES[0]:g} to {TIMES[1]:g} s, by the trial's seed.",
         "Ice: friction 0.1 to 0.2 instead of 1. Load: mass times 1.5. Linkage: 4 degrees to either side.",
         f"A good prediction: its largest error within the cycle is at most {1000 * limit:.0f} mm, the {GOOD:.0%}",
-        "quantile without a change. Followed: the first estimate near the new value, or the begin of the first good",
+        "quantile without a change. Followed: the first estimate near the new value, or the start of the first good",
         f"prediction from which on at least {SHARE:.0%} of those that begin within {LASTING:g} s are good.",
     ]
     return Report("changes", rows, tables, notes)

@@ -172,7 +172,7 @@ class EdgeChecker:
         """Least clearance of k motions beyond delta(t, v) (k,), m, a lower bound; delta has the speed and the time.
 
         Motion k has the states (n, nx) up to number `ends[k]`, from the end of the one before it on, and `since` (n,)
-        are their times since the begin of the query, s.
+        are their times since the start of the query, s.
         """
         vehicle, found = self.vehicle, np.empty(len(ends))
         theta = vehicle.index("theta")

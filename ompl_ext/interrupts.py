@@ -41,7 +41,7 @@ class _PendingSignal(event.Listener):
             self._before[number](number, None)
 
     def on_start(self, event: object) -> None:
-        """Handle a signal at the begin of a pass (called by numba)."""
+        """Handle a signal at the beginning of a pass (called by numba)."""
         self.handle()
 
     def on_end(self, event: object) -> None:

@@ -60,7 +60,7 @@ class _NoCollections(event.Listener):
         self._running, self._enabled = 0, False
 
     def on_start(self, event: object) -> None:
-        """Pause at the begin of the outermost compilation (called by numba, under its lock)."""
+        """Pause at the beginning of the outermost compilation (called by numba, under its lock)."""
         if self._running == 0:
             self._enabled = gc.isenabled()
             gc.disable()

@@ -131,7 +131,7 @@ class Polish:
         Args:
             guess: trajectory to begin with, which need not obey the model.
             goal: region to end in.
-            begin: time of its first state since the begin of the query (s).
+            begin: time of its first state since the start of the query (s).
             urgency: weight of the time; a small one for a guess that has to become feasible first.
             smoothness: what changes of the controls may cost; by default the first one of `weights_of` the goal.
         """

@@ -94,7 +94,7 @@ class Goal:
 class Safety:
     """Clearance delta(t, v) inside the first cycle and of contingencies.
 
-    It is `delta` + `delta_per_speed` |v| + `delta_per_time` t (m) for t s since the begin of the query, t being at most
+    It is `delta` + `delta_per_speed` |v| + `delta_per_time` t (m) for t s since the start of the query, t being at most
     `delta_horizon`.  After `near` s it is `far_delta` + `far_delta_per_speed` |v| instead.  The planner takes a
     contingency to begin at the end of the cycle.
 
@@ -142,7 +142,7 @@ class Safety:
         return resting
 
     def clearance(self, speed: Floats, time: Floats) -> Floats:
-        """delta(t, v) (n,) at speeds (n,), m/s, and times (n,) since the begin of the query, s."""
+        """delta(t, v) (n,) at speeds (n,), m/s, and times (n,) since the start of the query, s."""
         growth = self.delta_per_time * np.minimum(np.maximum(time, 0.0), self.delta_horizon)
         near: Floats = self.delta + self.delta_per_speed * np.abs(speed) + growth
         if math.isinf(self.near):

@@ -82,7 +82,7 @@ class Blockage:
         return Blocked(self._obstacle(pose, math.copysign(1.0, self._intended)), self._begin)
 
     def _intended_speed(self, reference: Reference, time: float) -> float:
-        """Mean speed of a reference in the next second, along the heading at its begin, m/s."""
+        """Mean speed of a reference in the next second, along the heading at its beginning, m/s."""
         x, y, theta = pose_of(reference.state_at(time), self._vehicle)
         after = pose_of(reference.state_at(time + 1.0), self._vehicle)
         return (after[0] - x) * math.cos(theta) + (after[1] - y) * math.sin(theta)

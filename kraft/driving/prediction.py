@@ -67,7 +67,7 @@ class ClosedLoopPredictor:
         return PredictedMotion(times[: len(states)], states, slack)
 
     def _ticks(self, times: Floats, durations: Floats, since: Floats) -> Ticks:
-        """Ticks at `times` (n,) s, `since` s after the begin, for `durations` (n,): a period, but for the last."""
+        """Ticks at `times` (n,) s, `since` (n,) s after the cycle's start; each but the last takes one period."""
         steps = np.full(len(times), self.dirt.steps_of(self.period))
         if len(times) > 0:
             steps[-1] = self.dirt.steps_of(float(durations[-1]))
@@ -98,7 +98,7 @@ class ClosedLoopPredictor:
 
 
 def required_clearance(dirt: DirtSolver, states: Matrix, since: Floats | float = math.inf) -> Floats:
-    """Clearance delta(t, v) (n,) that SAFETY asks of states (n, nx) `since` s, or (n,), after the cycle's begin, m."""
+    """Clearance delta(t, v) (n,) that SAFETY asks of states (n, nx) `since` s, or (n,), after the cycle's start, m."""
     speeds = states[:, dirt.vehicle.rest_indices[0]]
     return dirt.safety.clearance(speeds, np.broadcast_to(since, len(states)))
 

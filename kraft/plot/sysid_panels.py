@@ -321,7 +321,7 @@ def draw_error_over_time(
             largest = max(largest, factor * float(errors.max()))
         identified = max(identified, factor * float(errors.max()))
     far = largest > FAR * identified > 0.0
-    for times, errors, drawn in curves:  # the error at the begin, 0, is on no logarithmic axis
+    for times, errors, drawn in curves:  # the error at the beginning, 0, is on no logarithmic axis
         axes.plot(times if far else np.append(0.0, times), errors if far else np.append(0.0, errors), **drawn)
     plain_axes(axes)
     axes.set(xlim=(0.0, 3.0))

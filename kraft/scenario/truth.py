@@ -204,7 +204,7 @@ class Truth(Robot):
 
     @property
     def states(self) -> tuple[WorldState, ...]:
-        """State at the begin of the drive, and after each change."""
+        """State at the beginning of the drive, and after each change."""
         first = WorldState(0.0, self.floor_friction, self.vehicle)
         return tuple(itertools.accumulate(self.changes, lambda state, change: change.applied_to(state), initial=first))
 

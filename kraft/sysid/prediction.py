@@ -342,7 +342,7 @@ def error_over_time(windows: Sequence[Window], columns: Sequence[int]) -> tuple[
 
 
 def most_turning_log(windows: Sequence[Window]) -> str:
-    """Name of the log that turns most: whose headings change most from the begin to the end of its windows, in sum."""
+    """Name of the log that turns most: its headings change most, in sum, from beginning to end of its windows."""
     turns: dict[str, float] = {}
     for window in windows:
         yaw = np.unwrap(window.poses[:, 2])

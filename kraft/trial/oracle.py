@@ -33,7 +33,7 @@ class OracleEstimator:
     ) -> None:
         """Estimate the state of `world`, whose commands act `command_delay` s after they are sent.
 
-        `model` is that of the true car at the begin of the drive, `vehicle` that of the car which the model was
+        `model` is that of the true car at the start of the drive, `vehicle` that of the car which the model was
         identified on: if the car changes, the parameters of `model` follow.
         """
         self._world, self._model, self.horizon = world, model, command_delay

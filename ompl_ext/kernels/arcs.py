@@ -10,7 +10,7 @@ from ompl_ext.arrays import Floats
 from ompl_ext.jit import compiled, inlined
 from ompl_ext.trigonometry import cos, sin
 
-OVER = 0.2  # share of an arc by which a pose may be before its begin or beyond its end
+OVER = 0.2  # share of an arc by which a pose may be before its beginning or beyond its end
 PASSES = 2  # of Newton's method for the nearest pose
 
 
@@ -49,7 +49,7 @@ def cross_track(poses: Floats, begin: Floats, screw: Floats, reach: float) -> Fl
     """Deviations (k, m, 3) of poses (k, m, 3) from an arc, across its direction (m).
 
     Args:
-        poses: positions (m) and headings, continuous with that of the begin.
+        poses: positions (m) and headings, continuous with that of `begin`.
         begin: pose at which the arc begins.
         screw: motion of the body along the whole arc (m, m, rad).
         reach: what a radian counts as (m).

@@ -172,7 +172,7 @@ def sample_slack(work: Lanes, step: int, lane: int, c: float, s: float, required
 
 @inlined
 def delta(work: Lanes, step: int, lane: int, time: float, problem: Problem) -> float:
-    """Clearance that the model gap requires at a sample (m), `time` s after the begin of the query."""
+    """Clearance that the model gap requires at a sample (m), `time` s after the start of the query."""
     speed = 0.0
     if SPEED >= 0:
         speed = abs(work.trajectory[(step * NX + SPEED) * WIDTH + lane])

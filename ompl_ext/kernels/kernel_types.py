@@ -79,7 +79,7 @@ GOAL_X, GOAL_Y, GOAL_RADIUS, GOAL_COS, GOAL_SIN, GOAL_TOLERANCE = (
     26,
     27,
 )  # tolerance as its cosine
-DELTA_PER_TIME, DELTA_HORIZON = 29, 30  # clearance added per second since the begin of the query, for so long (m/s, s)
+DELTA_PER_TIME, DELTA_HORIZON = 29, 30  # clearance added per second since the start of the query, for so long (m/s, s)
 FINE_X, FINE_Y, FINE_COS, FINE_SIN = 31, 32, 33, 34  # frame of the fine field (m)
 FINE_INVERSE = 35  # 1 / spacing of the fine field (1/m), 0 without one
 POSE_X, POSE_Y, POSE_INVERSE, POSE_BEYOND = 36, 37, 38, 39  # first centre (m) and 1 / cell of pose_togo; see `posetogo`
@@ -88,7 +88,7 @@ GOAL_SPEED = 42  # largest speed in the goal (m/s)
 GOAL_NEAR = 43  # distance from the goal's centre beyond which no edge that begins there reaches the goal (m)
 SHORTEST_NEAR_GOAL = 44  # duration of the shortest edge from nodes that are near a goal that CUT_AT_GOAL (s)
 POSE_HEADING = 45  # heading of the first layer of pose_togo (rad)
-NEAR = 46  # time since the begin of the query after which another clearance is kept (s)
+NEAR = 46  # time since the start of the query after which another clearance is kept (s)
 DELTA_FAR, DELTA_FAR_PER_SPEED = 47, 48  # that is DELTA_FAR + DELTA_FAR_PER_SPEED |v| (m, s)
 SCALARS = 49
 
@@ -205,7 +205,7 @@ WAITING = -2  # instead of the node of a retained edge
 
 
 class Retained(NamedTuple):
-    """Edges of an earlier plan or tree for the begin of a query, parents before children."""
+    """Edges of an earlier plan or tree for the start of a query, parents before children."""
 
     parent: Ints  # index of the parent edge, -1 at the root
     edge: Matrix  # (edges, nu + 1) control and duration

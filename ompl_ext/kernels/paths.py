@@ -34,7 +34,7 @@ STANDSTILL_SPEED = 1e-3  # speed below which there is no direction of travel (m/
 SHORTEST = 1e-6  # length up to which a path has a single sample (m)
 COINCIDENT = 1e-9  # distance up to which the heading gives the direction of travel (m)
 
-# Row of `laid` after X, Y, THETA and TIME: arc length from the begin of the path (m)
+# Row of `laid` after X, Y, THETA and TIME: arc length from the start of the path (m)
 ARC = 4
 LAID = 5
 

@@ -15,7 +15,7 @@ from ompl_ext.vehicle import Vehicle
 ROOM = Workspace(((0.0, 4.0), (0.0, 4.0)), (box((3.0, 2.0), (1.0, 4.0)),))  # a wall from x = 2.5 m on
 STATE = np.array([1.9, 2.0, 0.0, 0.0, 0.0])  # the rover at rest before the wall
 REST = np.zeros(2)
-SLACK = 0.05  # of its clearance beyond delta at the begin, m
+SLACK = 0.05  # of its clearance beyond delta at the start, m
 
 
 def solver(safety: Safety, vehicle: Vehicle = ROVER) -> DirtSolver:

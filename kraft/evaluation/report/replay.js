@@ -403,7 +403,7 @@ class Player {
     this.cycle.replaceChildren(...words);
   }
 
-  /** Go to the begin of the cycle before or after. */
+  /** Go to the beginning of the cycle before or after. */
   step(count) {
     if (!this.drive) return;
     this.setPlaying(false);
