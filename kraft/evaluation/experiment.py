@@ -23,16 +23,13 @@ from kraft.planning.workspace import start_state
 from kraft.scenario import Scenario
 from kraft.scenario.unmapped import unstated_outside
 from kraft.text import Log, no_log
-from kraft.trial.early_watchdog import early_watchdog
-from kraft.trial.far_camera import far_camera
 from kraft.trial.planning_vehicle import (
     check_robot,
     load_planning_vehicle,
     other_robot,
-    uncorrected_slope,
     vehicle_reference,
 )
-from kraft.trial.unguided_goal import unguided_goal
+from kraft.trial.warnings import early_watchdog, far_camera, uncorrected_slope, unguided_goal
 from kraft.vehicles.load import load_vehicle, resolved_reference
 from kraft.vehicles.reference import reference_of
 from ompl_ext.vehicle import Vehicle

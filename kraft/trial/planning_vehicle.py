@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from kraft.config import bundled
-from kraft.driving.method import Adaptive, Method, check_vehicle
+from kraft.driving.method import Method, check_vehicle
 from kraft.errors import InputError
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Scenario
@@ -198,14 +198,3 @@ def _that_covers(outline: Footprint) -> str:
 def _rounded_up(length: float) -> float:
     """Length in whole millimetres, m."""
     return math.ceil(1000.0 * length - 1e-6) / 1000.0
-
-
-def uncorrected_slope(scenario: Scenario, method: Method, vehicle: Vehicle) -> str:
-    """What to say of a tilted floor whose slope is not estimated, though the method could; else empty."""
-    tilted = scenario.truth.tilt is not None and scenario.truth.tilt.slope > 0.0
-    if not tilted or not isinstance(method.estimator, Adaptive) or vehicle.gravity_share is not None:
-        return ""
-    return (
-        f"the floor leans, and {vehicle.name} states no gravity_share: neither the slope nor the errors of the poses "
-        "that come from it are estimated"
-    )

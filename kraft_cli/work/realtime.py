@@ -21,10 +21,9 @@ from kraft.robot.robot_file import JOINT_STATE, CommandOutput, Loopback, Robot, 
 from kraft.robot.world import RobotWorld, WorldResult
 from kraft.scenario.unmapped import unstated_outside
 from kraft.text import finite, metres, no_log
-from kraft.trial.far_camera import far_camera
 from kraft.trial.planning_vehicle import other_robot
 from kraft.trial.result import Outcome, outcome_text
-from kraft.trial.unguided_goal import unguided_goal
+from kraft.trial.warnings import far_camera, unguided_goal
 from kraft.vehicles import is_car
 from kraft_cli.work.drive import DriveFiles, Driven, DriveRequest, drive_json, drive_robot, drive_table, load_files
 from kraft_cli.work.run import RunRequest

@@ -19,8 +19,8 @@ from kraft.planning.workspace import vehicle_of_task
 from kraft.recording.manoeuvres import Manoeuvre, read_commands
 from kraft.scenario import Scenario, load_scenario
 from kraft.text import counted
-from kraft.trial.far_camera import far_camera
 from kraft.trial.planning_vehicle import other_robot
+from kraft.trial.warnings import far_camera
 from kraft.vehicles import is_car
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import load_vehicle

@@ -18,9 +18,9 @@ from kraft.robot.robot_file import Loopback, Robot, Rosbridge, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
 from kraft.scenario import Scenario, load_scenario
 from kraft.text import counted, finite, metres
-from kraft.trial.far_camera import far_camera
 from kraft.trial.planning_vehicle import check_robot, other_robot
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
+from kraft.trial.warnings import far_camera
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.work.trial_outputs import OutputOptions, TrialOutputs
 from ompl_ext.vehicle import Vehicle

@@ -11,9 +11,10 @@ from support.paths import ROOT
 from kraft.driving.method import load_method
 from kraft.scenario import load_scenario
 from kraft.simulation.car import PRESETS
-from kraft.trial.planning_vehicle import other_robot, uncorrected_slope, vehicle_reference
+from kraft.trial.planning_vehicle import other_robot, vehicle_reference
 from kraft.trial.result import Outcome, TrialSpec
 from kraft.trial.trial import run_trial
+from kraft.trial.warnings import uncorrected_slope
 from kraft.vehicles.load import load_vehicle
 from kraft.vehicles.true_robot import CAR_SIZES
 from kraft_cli.main import main

@@ -7,7 +7,7 @@ import pytest
 from kraft.config import bundled
 from kraft.driving.method import load_method
 from kraft.evaluation.experiment import WARNINGS, experiment_of
-from kraft.trial.early_watchdog import early_watchdog
+from kraft.trial.warnings import early_watchdog
 
 
 @pytest.mark.parametrize(("watchdog", "early"), [(0.1, True), (0.5, True), (0.6, False), (None, False)])

@@ -5,7 +5,7 @@ import pytest
 from kraft.config import bundled
 from kraft.scenario import load_scenario
 from kraft.simulation.camera import PRESETS
-from kraft.trial.far_camera import far_camera
+from kraft.trial.warnings import far_camera
 
 
 @pytest.mark.parametrize(

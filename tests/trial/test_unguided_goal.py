@@ -6,7 +6,7 @@ import pytest
 
 from kraft.driving.method import load_method
 from kraft.scenario import load_scenario
-from kraft.trial.unguided_goal import unguided_goal
+from kraft.trial.warnings import unguided_goal
 
 HEADING = {"goal.heading_deg": 90, "goal.heading_tolerance_deg": 10}
 
