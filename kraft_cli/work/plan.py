@@ -32,22 +32,20 @@ from ompl_ext.vehicle import Vehicle
 
 PARAMETERS_MAX = 12  # of a vehicle, up to which those that are 0 are printed too; -v prints them all
 MUCH_MEMORY = 1_000_000_000  # bytes of maps from which on the need of memory is reported without -v too
+PROGRESS_INTERVAL = 5.0  # between two lines about a long search (s)
 
 
-SIGN_OF_LIFE = 5.0  # s between two lines about a long search
-
-
-class SignOfLife:
-    """Reports what a long search has done so far, a line every `SIGN_OF_LIFE` s."""
+class SearchReporter:
+    """Reports what a long search has done so far, a line every `PROGRESS_INTERVAL` s."""
 
     def __init__(self, report: Callable[[str], None]) -> None:
-        self._report, self._told = report, clock.monotonic()
+        self._report, self._last = report, clock.monotonic()
 
     def tell(self, progress: Progress) -> None:
         """Report the progress if a line is due."""
-        if clock.monotonic() < self._told + SIGN_OF_LIFE:
+        if clock.monotonic() < self._last + PROGRESS_INTERVAL:
             return
-        self._told = clock.monotonic()
+        self._last = clock.monotonic()
         work = f"{grouped(progress.iterations, 'iteration')}, {grouped(progress.nodes, 'node')}"
         found = f"a plan of {progress.history[-1][1]:.2f} s" if progress.history else "no plan to the goal yet"
         self._report(f"  {progress.seconds:.0f} s: {work}, {found}")
@@ -137,7 +135,7 @@ def run_plan(
     (report if needed >= MUCH_MEMORY else detail)(f"the maps need at most {in_words(needed)} of memory")
     result = plan_task(
         task, vehicle, seed=request.seed, previous=previous, threads=request.threads,
-        on_progress=SignOfLife(report).tell,
+        on_progress=SearchReporter(report).tell,
     )  # fmt: skip
     timer.report("planned, with maps and verification,")
     replaced = False

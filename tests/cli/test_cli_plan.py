@@ -280,7 +280,7 @@ def test_a_long_search_tells_what_it_has_done_and_its_plan_is_the_same(
     arguments = ["plan", "room.yaml", "--iterations", "3000", "--threads", threads, "--out"]
     assert main([*arguments, "a"]) == 0
     assert " iterations, " not in capsys.readouterr().err
-    monkeypatch.setattr("kraft_cli.work.plan.SIGN_OF_LIFE", 0.0)
+    monkeypatch.setattr("kraft_cli.work.plan.PROGRESS_INTERVAL", 0.0)
     assert main([*arguments, "b"]) == 0
     lines = capsys.readouterr().err.splitlines()
     told = r"  0 s: [\d,]+ iterations?, [\d,]+ nodes?, (a plan of \d+\.\d\d s|no plan to the goal yet)"
