@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from kraft.text import Log
+from kraft.text import MessageSink
 
 INTERVAL: Final = 5.0
 """Time between two messages, s."""
@@ -18,7 +18,7 @@ LOADING_INTERVAL: Final = 3.0
 
 
 @contextmanager
-def elapsed_time(log: Log, what: str, *, interval: float | None = None, before: float = 0.0) -> Iterator[None]:
+def elapsed_time(log: MessageSink, what: str, *, interval: float | None = None, before: float = 0.0) -> Iterator[None]:
     """Context that reports every `interval` s, `INTERVAL` by default, how long it has lasted, and `what` goes on in it.
 
     `before` is the time that parts of the same work before it took, s.
@@ -40,7 +40,7 @@ def elapsed_time(log: Log, what: str, *, interval: float | None = None, before: 
 
 
 @contextmanager
-def loading(log: Log) -> Iterator[None]:
+def loading(log: MessageSink) -> Iterator[None]:
     """Context in which modules are loaded and files are checked, which is reported if it takes long."""
     with elapsed_time(log, LOADING, interval=LOADING_INTERVAL):
         yield

@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from typing import Final, TypeAlias
 
-Log: TypeAlias = Callable[[str], None]
-"""Receives messages."""
+MessageSink: TypeAlias = Callable[[str], None]
+"""Receives messages for people, one at a time."""
 
 
-def no_log(_: str) -> None:
+def no_messages(_: str) -> None:
     """Receive a message and ignore it."""
 
 

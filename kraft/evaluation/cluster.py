@@ -13,7 +13,7 @@ from kraft.errors import Code, InputError, MissingDependency
 from kraft.evaluation.job import POLL, Job, StopRequested, failed_row, perform
 from kraft.evaluation.journal import TrialRow
 from kraft.provenance import SIMULATION, install_command, versions
-from kraft.text import Log
+from kraft.text import MessageSink
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -45,7 +45,7 @@ class Cluster:
         except (OSError, ValueError) as error:
             raise self._no_answer(error) from error
 
-    def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
+    def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: MessageSink) -> Iterator[TrialRow]:
         """See `Executor`; the scheduler's settings state how often a worker may die."""
         client = self._client()
         try:
@@ -68,7 +68,9 @@ class Cluster:
         expected = "expected its address, as in tcp://192.0.2.1:8786"
         return InputError.of_argument("cluster", problem, expected, Code.NOT_FOUND)
 
-    def _rows(self, client: Client, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
+    def _rows(
+        self, client: Client, jobs: Sequence[Job], stop_requested: StopRequested, log: MessageSink
+    ) -> Iterator[TrialRow]:
         """Yield rows; only a few trials per thread are submitted at once, so that stopping does not wait for many."""
         here, todo = versions(SIMULATION), list(reversed(jobs))
         running: dict[Future, Job] = {}

@@ -24,7 +24,7 @@ from kraft.evaluation.summary import Summary, summarise
 from kraft.files import check_new_folder
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
-from kraft.text import Log, counted, no_log
+from kraft.text import MessageSink, counted, no_messages
 from ompl_ext.cores import usable_cores
 
 
@@ -141,7 +141,7 @@ def check_arguments(
     vehicle: str | Path | None = None,
     resume: bool = False,
     realtime: bool = False,
-    log: Log = no_log,
+    log: MessageSink = no_messages,
 ) -> Experiment:
     """Experiment of arguments of `evaluate`; `log` gets messages about kernels that the checks compile.
 
@@ -172,7 +172,7 @@ def check_arguments(
     return experiment
 
 
-def _warn(experiment: Experiment, log: Log) -> None:
+def _warn(experiment: Experiment, log: MessageSink) -> None:
     """Log each warning with the first entry that it concerns, and how many others there are."""
     for warning in WARNINGS:
         found = {cell.entry.name: text for cell in experiment.cells if (text := warning(cell))}
@@ -183,7 +183,7 @@ def _warn(experiment: Experiment, log: Log) -> None:
         log(f"warning: {name}: {text}{more}")
 
 
-def _ensure_compiled(experiment: Experiment, log: Log) -> None:
+def _ensure_compiled(experiment: Experiment, log: MessageSink) -> None:
     """Compile what the trials need once here, not by every worker during a trial."""
     experiment.check_packages()
     for reference in dict.fromkeys(cell.reference for cell in experiment.cells):

@@ -22,7 +22,7 @@ from kraft.planning.feasibility import check_placement, needs_motions
 from kraft.planning.workspace import start_state
 from kraft.scenario import Scenario
 from kraft.scenario.unmapped import unstated_outside
-from kraft.text import Log, no_log
+from kraft.text import MessageSink, no_messages
 from kraft.trial.planning_vehicle import (
     check_robot,
     load_planning_vehicle,
@@ -135,7 +135,7 @@ def experiment_of(
     trials: int = TRIALS,
     seed: int = 0,
     realtime: bool = False,
-    log: Log = no_log,
+    log: MessageSink = no_messages,
 ) -> Experiment:
     """Load scenarios, methods and vehicles and check starts and goals.
 
@@ -188,7 +188,7 @@ def _methods(given: Sequence[MethodLike], problems: Problems) -> list[Method]:
 
 
 def _cells(
-    entries: list[Entry], methods: list[Method], vehicle: str | None, problems: list[Diagnostic], log: Log
+    entries: list[Entry], methods: list[Method], vehicle: str | None, problems: list[Diagnostic], log: MessageSink
 ) -> Iterator[Cell]:
     loaded: dict[str, Vehicle] = {}
     for entry in entries:

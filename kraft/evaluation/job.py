@@ -14,7 +14,7 @@ from kraft.errors import InputError, MissingDependency, MissingError
 from kraft.evaluation.journal import Key, TrialRow, trial_row
 from kraft.evaluation.replay import replay_of
 from kraft.scenario import Scenario
-from kraft.text import Log
+from kraft.text import MessageSink
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import Vehicle
@@ -92,7 +92,7 @@ POLL: Final = 0.1
 class Executor(Protocol):
     """Runs jobs in other processes."""
 
-    def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
+    def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: MessageSink) -> Iterator[TrialRow]:
         """Yield the row of every job once, in the order in which trials end.
 
         As soon as `stop_requested()` is true no further trial starts and the running ones are finished; closing the

@@ -19,7 +19,7 @@ from typing import Final, TypeAlias
 from kraft.errors import Defect, KraftError
 from kraft.evaluation.job import POLL, Job, StopRequested, failed_row, perform
 from kraft.evaluation.journal import Key, TrialRow
-from kraft.text import Log
+from kraft.text import MessageSink
 from ompl_ext.cores import ONE_BLAS_THREAD
 from ompl_ext.signals import STOPPING
 
@@ -74,7 +74,7 @@ class Processes:
     def __init__(self, count: int) -> None:
         self.count = count
 
-    def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
+    def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: MessageSink) -> Iterator[TrialRow]:
         """See `Executor`.
 
         Raises:
@@ -129,7 +129,7 @@ def _receive(state: _State, worker: _Worker, answer: Answer) -> TrialRow | None:
     return answer
 
 
-def _handle_death(state: _State, worker: _Worker, log: Log) -> TrialRow | None:
+def _handle_death(state: _State, worker: _Worker, log: MessageSink) -> TrialRow | None:
     """Remove a dead worker and repeat its job; the row of the job if it fails instead.
 
     Raises:

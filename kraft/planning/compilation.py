@@ -17,6 +17,7 @@ import numpy as np
 from kraft.elapsed import elapsed_time
 from kraft.planning.feasibility import needs_motions
 from kraft.scenario import Task
+from kraft.text import MessageSink
 from ompl_ext.arrays import Matrix32
 from ompl_ext.exact import ExactClearance
 from ompl_ext.interrupts import interrupts_between_passes
@@ -53,7 +54,7 @@ OPTIONAL: Final = {"rollouts": "the rollouts", "sst": "the planner sst"}
 
 def ensure_compiled(
     vehicle: Vehicle,
-    report: Callable[[str], None],
+    report: MessageSink,
     *,
     steps: bool = False,
     heading: bool = False,
@@ -70,7 +71,7 @@ def ensure_compiled(
     _compile(_missing(vehicle, steps=steps, heading=heading, polish=polish or heading, modules=modules), report)
 
 
-def ensure_checks_compiled(task: Task, vehicle: Vehicle, report: Callable[[str], None]) -> None:
+def ensure_checks_compiled(task: Task, vehicle: Vehicle, report: MessageSink) -> None:
     """Compile what `check_placement` and `check_reachable` need: the kernels of maps, and the vehicle's for few tasks.
 
     What is cached is not compiled again; `report` gets progress messages.
@@ -81,7 +82,7 @@ def ensure_checks_compiled(task: Task, vehicle: Vehicle, report: Callable[[str],
         _compile({MAPS_PART: compile_maps}, report)
 
 
-def _compile(parts: Mapping[str, Callable[[], object]], report: Callable[[str], None]) -> None:
+def _compile(parts: Mapping[str, Callable[[], object]], report: MessageSink) -> None:
     """Compile parts by name; `report` gets what is compiled, for how long, and each part that is done."""
     if not parts:
         return

@@ -40,6 +40,7 @@ from kraft.robot.transport import Transport
 from kraft.scenario import Scenario
 from kraft.simulation.true_world import TrueWorld, world_of
 from kraft.simulation.world import Ticks, steps_of
+from kraft.text import MessageSink, no_messages
 from kraft.trial.closest_approach import ClosestApproach
 from kraft.trial.measures import Step
 from kraft.trial.plant import camera_of
@@ -151,7 +152,7 @@ class RobotWorld:
         speed: float = 1.0,
         *,
         stays: bool = False,
-        report: Callable[[str], None] = lambda _: None,
+        report: MessageSink = no_messages,
     ) -> WorldResult:
         """Simulate in real time until the goal, a collision or the time limit of the scenario.
 

@@ -28,6 +28,7 @@ from kraft.sysid.interface import Noise, Settings
 from kraft.sysid.optimiser import RHO, RhoFactors
 from kraft.sysid.parameters import parameters_of
 from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, noise_model, starting_point
+from kraft.text import MessageSink
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.jit import cache_root
 from ompl_ext.kernels.specialise import are_steps_cached
@@ -156,7 +157,7 @@ class FastGraph:
         return Point(self.point.states + states, controls, rho)
 
 
-def ensure_compiled(vehicle: Vehicle, reference: str, info: Callable[[str], None]) -> None:
+def ensure_compiled(vehicle: Vehicle, reference: str, info: MessageSink) -> None:
     """Compile the steps of the model and the elimination of the graph, unless their machine code is cached.
 
     Args:

@@ -11,7 +11,6 @@ import itertools
 import math
 import threading
 import time as clock
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -27,6 +26,7 @@ from kraft.gl import check_video, check_view, offscreen_context
 from kraft.scenario import Bounds
 from kraft.simulation.floor_frame import Surface
 from kraft.simulation.true_world import TrueWorld, world_of
+from kraft.text import MessageSink, no_messages
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
@@ -90,7 +90,7 @@ class VideoRecorder:
         due = round(world.time * self._file.fps) + 1 - len(self._frames)
         self._frames += [snapshot] * due
 
-    def finish(self, result: TrialResult, report: Callable[[str], None] = lambda _: None) -> None:
+    def finish(self, result: TrialResult, report: MessageSink = no_messages) -> None:
         """Draw the film with the outcome at its end, and move the file to its place; `report` receives the progress.
 
         Raises:
@@ -111,7 +111,7 @@ class VideoRecorder:
             self._file.add(picture)
         self._file.finish()
 
-    def _draw(self, renderer: SceneRenderer, report: Callable[[str], None]) -> None:
+    def _draw(self, renderer: SceneRenderer, report: MessageSink) -> None:
         """Draw the frames of the drive."""
         seconds = len(self._frames) / self._file.fps
         report(f"drawing the film of {seconds:.1f} s ...")
@@ -227,7 +227,7 @@ class LiveView:
                 self._show(world, snapshot)
                 self._shown = clock.monotonic()
 
-    def finish(self, result: TrialResult, report: Callable[[str], None] = lambda _: None) -> None:
+    def finish(self, result: TrialResult, report: MessageSink = no_messages) -> None:
         """Show the outcome for `WINDOW_HOLD` s; nothing is reported."""
         if self._window is not None and self._window.is_running():
             self._window.set_texts(_text(outcome_caption(result)[0], ""))

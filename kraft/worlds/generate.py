@@ -20,7 +20,7 @@ from kraft.planning.feasibility import check_placement, check_reachable
 from kraft.planning.plan import finds_plan
 from kraft.planning.workspace import start_state
 from kraft.scenario import Task, parse_scenario
-from kraft.text import Log, counted, no_log, suggestion
+from kraft.text import MessageSink, counted, no_messages, suggestion
 from kraft.vehicles.load import load_vehicle
 from kraft.worlds import layouts
 from kraft.worlds.layouts import WALL, Obstacle, track
@@ -204,7 +204,7 @@ def generate_worlds(
     count: int = 1,
     vehicle: str | None = None,
     density: float | None = None,
-    log: Log = no_log,
+    log: MessageSink = no_messages,
 ) -> Written:
     """Write random worlds and their suite into the new folder `out`; world k has the seed `seed` + k.
 
@@ -256,7 +256,7 @@ def _numbered(kind: str, seed: int, count: int) -> Iterator[tuple[str, int]]:
 
 
 def generate(
-    kind: str, seed: int, vehicle: str | None = None, density: float | None = None, log: Log = no_log
+    kind: str, seed: int, vehicle: str | None = None, density: float | None = None, log: MessageSink = no_messages
 ) -> World:
     """Make the world of a kind and a seed: the first layout of the seed that counts.
 

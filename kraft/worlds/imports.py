@@ -24,7 +24,7 @@ from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.files import check_new_folder
 from kraft.scenario.geometry import read_map
-from kraft.text import Log, alternatives, counted, no_log, suggestion
+from kraft.text import MessageSink, alternatives, counted, no_messages, suggestion
 from kraft.worlds.barn import LABEL, read_barn, worlds_in
 from kraft.worlds.world import (
     SENSING,
@@ -74,7 +74,7 @@ class Collection:
     imported: tuple[Imported, ...]
 
 
-def import_worlds(request: Request, log: Log = no_log) -> Collection:
+def import_worlds(request: Request, log: MessageSink = no_messages) -> Collection:
     """Read the sources and write a scenario for each of their worlds, and a suite; all or nothing.
 
     Raises:
@@ -100,7 +100,7 @@ def read_sources(request: Request) -> list[Imported]:
     return [each for each in found if each is not None]
 
 
-def write_imported(request: Request, imported: Sequence[Imported], log: Log = no_log) -> Collection:
+def write_imported(request: Request, imported: Sequence[Imported], log: MessageSink = no_messages) -> Collection:
     """Write a scenario for each world that was read, and a suite; all or nothing; `log` as of `write_worlds`.
 
     Raises:

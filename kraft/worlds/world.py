@@ -18,7 +18,7 @@ from kraft.planning.compilation import ensure_checks_compiled
 from kraft.planning.feasibility import check_placement, check_reachable
 from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario import Trial, parse_scenario
-from kraft.text import Log, no_log
+from kraft.text import MessageSink, no_messages
 from kraft.vehicles.reference import VehicleProblem, relative_vehicle, resolve_vehicle
 
 SUITE: Final = "suite.yaml"
@@ -122,7 +122,9 @@ def finished(number: int, count: int, name: str) -> str:
     return f"world {number} of {count}: {name}"
 
 
-def write_worlds(worlds: Sequence[World], out: Path, suite: str, description: str, log: Log = no_log) -> Written:
+def write_worlds(
+    worlds: Sequence[World], out: Path, suite: str, description: str, log: MessageSink = no_messages
+) -> Written:
     """Check all worlds and write them and their suite into the new folder `out`, all or nothing.
 
     `log` gets a message before kernels are compiled, and one for each world that was checked.
@@ -170,7 +172,7 @@ def _with_time(world: World, least: float) -> World:
     return replace(world, content={**world.content, "trial": {"timeout": limit, "oneshot_timeout": limit}})
 
 
-def _check_all(worlds: Sequence[World], out: Path, folder: Path, log: Log) -> list[float]:
+def _check_all(worlds: Sequence[World], out: Path, folder: Path, log: MessageSink) -> list[float]:
     """Least time (s) to the goal of each world."""
     times: list[float] = []
     problems: list[Diagnostic] = []
@@ -191,7 +193,7 @@ def _check_all(worlds: Sequence[World], out: Path, folder: Path, log: Log) -> li
     return times
 
 
-def check(world: World, out: Path, folder: Path, log: Log = no_log) -> float:
+def check(world: World, out: Path, folder: Path, log: MessageSink = no_messages) -> float:
     """Check that a world is a valid scenario with a free start and a goal that its vehicle may reach.
 
     Args:

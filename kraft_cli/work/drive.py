@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,7 @@ from kraft.robot.protocol import Checked, DriveSpec, Status
 from kraft.robot.robot_file import Robot, load_robot
 from kraft.robot.show import Display
 from kraft.scenario import Scenario, load_scenario
-from kraft.text import alternatives, counted
+from kraft.text import MessageSink, alternatives, counted
 from kraft.trial.planning_vehicle import planning_vehicle
 from kraft.trial.plant import camera_model
 from kraft.vehicles.load import load_vehicle
@@ -78,9 +78,7 @@ class Driven:
         return self.outcome == "success"
 
 
-def drive_robot(
-    request: DriveRequest, report: Callable[[str], None], problem: Callable[[str], None], detail: Callable[[str], None]
-) -> Driven:
+def drive_robot(request: DriveRequest, report: MessageSink, problem: MessageSink, detail: MessageSink) -> Driven:
     """Load, check, drive and write.
 
     Args:
@@ -148,7 +146,7 @@ def _write_result(driven: Driven) -> Driven:
     return driven
 
 
-def _abandoned(driven: Driven, problem: Callable[[str], None]) -> None:
+def _abandoned(driven: Driven, problem: MessageSink) -> None:
     """Write what is known at the second signal, and say where."""
     written, ended = _write_result(driven), driven.result.ended
     assert ended is not None, "it was interrupted"
@@ -165,7 +163,7 @@ def _remove_undriven(out: Path) -> None:
         out.rmdir()
 
 
-def _report_checks(checked: Checked, report: Callable[[str], None], problem: Callable[[str], None]) -> None:
+def _report_checks(checked: Checked, report: MessageSink, problem: MessageSink) -> None:
     """Report the check list."""
     for check in checked.checks:
         say = problem if check.state == "problem" else report

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,7 @@ from kraft.sysid.base_vehicle import COMMANDS_OF, BaseVehicle, for_commands, loa
 from kraft.sysid.command_units import CommandUnit, with_units
 from kraft.sysid.interface import Identification, Noise, Settings
 from kraft.sysid.terms import has_terms
-from kraft.text import counted
+from kraft.text import MessageSink, counted
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import configured
 from ompl_ext.arrays import Floats, Matrix
@@ -88,7 +88,7 @@ def next_drives(
     settings: Settings,
     logs: Sequence[Log],
     units: Mapping[str, CommandUnit],
-    report: Callable[[str], None],
+    report: MessageSink,
 ) -> NextDrives:
     """Plan the drives that follow an identification, and write their commands.
 
@@ -255,7 +255,7 @@ def drives_for(
     recorder: Recorder,
     count: int,
     seed: int,
-    report: Callable[[str], None],
+    report: MessageSink,
 ) -> list[tuple[Manoeuvre, Place | None]]:
     """Drives in a scenario that show the parameters of a model, from its priors, and where each begins.
 

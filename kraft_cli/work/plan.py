@@ -22,7 +22,7 @@ from kraft.planning.stated_speed import faster_than_stated
 from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario import Planning, Task, load_scenario
 from kraft.scenario.unmapped import unstated_outside
-from kraft.text import counted, finite, grouped, metres, no_log
+from kraft.text import MessageSink, counted, finite, grouped, metres, no_messages
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.work.parameters import parse_parameters
 from kraft_cli.work.verbose import StageTimer, vehicle_details
@@ -38,7 +38,7 @@ PROGRESS_INTERVAL = 5.0  # between two lines about a long search (s)
 class SearchReporter:
     """Reports what a long search has done so far, a line every `PROGRESS_INTERVAL` s."""
 
-    def __init__(self, report: Callable[[str], None]) -> None:
+    def __init__(self, report: MessageSink) -> None:
         self._report, self._last = report, clock.monotonic()
 
     def tell(self, progress: Progress) -> None:
@@ -109,9 +109,7 @@ class PlanOutcome:
     replaced: bool = False
 
 
-def run_plan(
-    request: PlanRequest, report: Callable[[str], None], detail: Callable[[str], None] = no_log
-) -> PlanOutcome:
+def run_plan(request: PlanRequest, report: MessageSink, detail: MessageSink = no_messages) -> PlanOutcome:
     """Load, check, plan, write, draw; `report` gets progress and remarks, `detail` the messages of ``-v``.
 
     The request is checked completely before planning.
@@ -154,7 +152,7 @@ def run_plan(
     return PlanOutcome(request, task, vehicle, result, target, replaced)
 
 
-def _inputs(request: PlanRequest, report: Callable[[str], None]) -> _Inputs:
+def _inputs(request: PlanRequest, report: MessageSink) -> _Inputs:
     """Load what the request names.
 
     Raises:
@@ -213,7 +211,7 @@ def _planning(request: PlanRequest, planning: Planning, problems: Problems) -> P
     return planning
 
 
-def _report_inputs(detail: Callable[[str], None], request: PlanRequest, task: Task, vehicle: Vehicle) -> None:
+def _report_inputs(detail: MessageSink, request: PlanRequest, task: Task, vehicle: Vehicle) -> None:
     detail(f"scenario {task.name}: {task.source.file}")
     for line in vehicle_details(vehicle):
         detail(line)
@@ -252,7 +250,7 @@ def _at_parameter_option(diagnostic: Diagnostic, parameters: Mapping[str, float]
     return replace(diagnostic, file=where, line=None, column=None, path=path)
 
 
-def _previous(request: PlanRequest, task: Task | None, report: Callable[[str], None]) -> Previous | None:
+def _previous(request: PlanRequest, task: Task | None, report: MessageSink) -> Previous | None:
     if request.previous is None:
         if request.after != 0.0:
             raise InputError.of("--after", "is given without --from", "expected --from PLAN too", Code.CONFLICT)

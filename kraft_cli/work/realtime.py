@@ -20,7 +20,7 @@ from kraft.robot.priority import leave_signals_to_planner, process_context
 from kraft.robot.robot_file import JOINT_STATE, CommandOutput, Loopback, Robot, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
 from kraft.scenario.unmapped import unstated_outside
-from kraft.text import finite, metres, no_log
+from kraft.text import MessageSink, finite, metres, no_messages
 from kraft.trial.planning_vehicle import other_robot
 from kraft.trial.result import Outcome, outcome_text
 from kraft.trial.warnings import far_camera, unguided_goal
@@ -54,7 +54,7 @@ class RealtimeRun:
 
 
 def run_in_real_time(
-    request: RunRequest, report: Callable[[str], None], problem: Callable[[str], None], detail: Callable[[str], None]
+    request: RunRequest, report: MessageSink, problem: MessageSink, detail: MessageSink
 ) -> RealtimeRun:
     """Drive a scenario over a socket, with a simulated robot in a process of its own.
 
@@ -105,7 +105,7 @@ def _load(request: RunRequest, asked: DriveRequest) -> DriveFiles:
     return files
 
 
-def _for_vehicle(robot: Robot, files: DriveFiles, report: Callable[[str], None]) -> Robot:
+def _for_vehicle(robot: Robot, files: DriveFiles, report: MessageSink) -> Robot:
     """The robot with commands for the vehicle that drives: of a car, or joints with the controls of another one.
 
     `report` receives warnings: of poses worse than measured, of a goal that nothing guides to, of another true robot.
@@ -127,7 +127,7 @@ def _for_vehicle(robot: Robot, files: DriveFiles, report: Callable[[str], None])
 
 
 @contextmanager
-def _world(request: WorldRequest, report: Callable[[str], None]) -> Iterator[Callable[[], WorldResult]]:
+def _world(request: WorldRequest, report: MessageSink) -> Iterator[Callable[[], WorldResult]]:
     """The simulated robot in a process of its own; the function ends it and returns what was true.
 
     `report` receives the progress of its film.
@@ -185,7 +185,7 @@ def _simulate(request: WorldRequest, connection: Connection, other: Connection) 
 
     message: WorldResult | Exception
     try:
-        message = simulate(request, no_log, opened, on_drawing=connection.send)
+        message = simulate(request, no_messages, opened, on_drawing=connection.send)
     except Exception as error:  # the other process raises it
         message = error
     with contextlib.suppress(BrokenPipeError):  # the other process has ended

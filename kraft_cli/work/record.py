@@ -18,7 +18,7 @@ from kraft.planning.compilation import ensure_compiled
 from kraft.planning.workspace import vehicle_of_task
 from kraft.recording.manoeuvres import Manoeuvre, read_commands
 from kraft.scenario import Scenario, load_scenario
-from kraft.text import counted
+from kraft.text import MessageSink, counted
 from kraft.trial.planning_vehicle import other_robot
 from kraft.trial.warnings import far_camera
 from kraft.vehicles import is_car
@@ -145,7 +145,7 @@ def _recorded_arguments(folder: Path) -> dict[str, Any]:
 
 
 def record_logs(
-    request: RecordRequest, report: Callable[[str], None], on_run: Callable[[RecordedRun], None] | None = None
+    request: RecordRequest, report: MessageSink, on_run: Callable[[RecordedRun], None] | None = None
 ) -> Recording:
     """Record all runs; each is written when it ends, so that an interrupt keeps the finished ones.
 

@@ -23,7 +23,7 @@ from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
 from kraft.planning.stated_speed import faster_than_stated
 from kraft.scenario import Scenario
-from kraft.text import counted, finite, metres, no_log
+from kraft.text import MessageSink, counted, finite, metres, no_messages
 from kraft.trial.measures import BAND, Measures
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
 from kraft_cli.work.run_folder import write_run
@@ -58,9 +58,9 @@ class Run:
 
 def run_scenario(
     request: RunRequest,
-    report: Callable[[str], None],
+    report: MessageSink,
     on_cycle: Callable[[Cycle], None] | None = None,
-    detail: Callable[[str], None] = no_log,
+    detail: MessageSink = no_messages,
 ) -> Run:
     """Load, check, drive and write a trial.
 
@@ -114,7 +114,7 @@ def run_scenario(
     return run
 
 
-def _log_details(detail: Callable[[str], None], cell: Cell) -> None:
+def _log_details(detail: MessageSink, cell: Cell) -> None:
     detail(f"scenario {cell.scenario.name}: {cell.scenario.source.file}")
     planner, controller = cell.method.planner, settings_for(cell.method.controller, cell.vehicle)
     detail(f"method {cell.method.name}: {cell.method.source.file}")
@@ -123,7 +123,7 @@ def _log_details(detail: Callable[[str], None], cell: Cell) -> None:
         detail(line)
 
 
-def _experiment(request: RunRequest, report: Callable[[str], None]) -> Experiment:
+def _experiment(request: RunRequest, report: MessageSink) -> Experiment:
     """Evaluation of this one trial, with its checks."""
     if not request.method:
         raise InputError.of_argument("method", "is empty", "expected the name of a method")

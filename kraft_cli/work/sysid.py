@@ -47,11 +47,11 @@ from kraft.sysid.selection import excluded_for_planning
 from kraft.sysid.terms import check_controls, has_terms
 from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
 from kraft.sysid.vehicle_file import identification_record, write_vehicle
-from kraft.text import counted, no_log
+from kraft.text import MessageSink, counted, no_messages
 from kraft.vehicles import WHEELBASE, is_car
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.work.next_drives import NextDrives, NextRequest, next_drives
-from kraft_cli.work.sysid_logs import MessageSink, read_sysid_logs, report_problems
+from kraft_cli.work.sysid_logs import read_sysid_logs, report_problems
 from kraft_cli.work.sysid_request import AUTO, SysidRequest, checked
 
 PROGRESS_INTERVAL: Final = 2.0
@@ -100,7 +100,9 @@ class SysidResult:
         return footprint.length <= LARGEST
 
 
-def run_sysid(request: SysidRequest, info: MessageSink, warn: MessageSink, detail: MessageSink = no_log) -> SysidResult:
+def run_sysid(
+    request: SysidRequest, info: MessageSink, warn: MessageSink, detail: MessageSink = no_messages
+) -> SysidResult:
     """Load, check, read, identify, predict, write, draw.
 
     A vehicle file is written only if there are no objections.  The page is drawn in any case; where nothing could be

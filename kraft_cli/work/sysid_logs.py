@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter, abc
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -15,10 +15,10 @@ from kraft.logs.mapping import Mapping, load_mapping
 from kraft.logs.reader import MismatchError, read_logs
 from kraft.sysid.command_units import SIDES
 from kraft.sysid.data import screen_logs
+from kraft.text import MessageSink
 from kraft.vehicles import CAR_CONTROLS
 from kraft_cli.work.recorded_controls import recorded_with_other_controls
 
-MessageSink = Callable[[str], None]
 """Receives one message."""
 
 Limits = abc.Mapping[str, tuple[float, float]]

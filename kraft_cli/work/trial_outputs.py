@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 from kraft.driving.messages import Cycle
 from kraft.files import check_all
+from kraft.text import MessageSink
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialResult, TrialSpec
 
@@ -111,7 +112,7 @@ class TrialOutputs:
         for recorder in self._recorders:
             recorder.on_step(world, step)
 
-    def finish(self, result: TrialResult, report: Callable[[str], None]) -> None:
+    def finish(self, result: TrialResult, report: MessageSink) -> None:
         """Draw the video, show the end in the window, write the bag, draw the picture; `report` receives the progress.
 
         Raises:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
@@ -29,7 +28,7 @@ from kraft.scenario.geometry import MapServerFile, read_map
 from kraft.scenario.loader import scenario_from
 from kraft.scenario.schema import ScenarioFile
 from kraft.scenario.unmapped import unstated_outside
-from kraft.text import nearest
+from kraft.text import MessageSink, nearest
 from kraft.trial.planning_vehicle import check_own_robot, check_robot, other_robot, own_robot
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import configured, load_vehicle, read_vehicle_file
@@ -71,7 +70,7 @@ class FileReport:
         return not self.problems and self.defect is None
 
 
-def check_file(name_or_path: str | Path, report: Callable[[str], None]) -> FileReport:
+def check_file(name_or_path: str | Path, report: MessageSink) -> FileReport:
     """Check a file, a bundled file by name, or a vehicle in code. Problems and defects are returned, not raised.
 
     `report` receives messages about what is compiled, and warnings of what is valid but may be wrong.
@@ -146,7 +145,7 @@ def _find(name_or_path: str | Path) -> Path:
     return bundled.find("scenario", name_or_path)
 
 
-def _check_as(kind: FileKind, document: Document, path: Path, report: Callable[[str], None]) -> None:
+def _check_as(kind: FileKind, document: Document, path: Path, report: MessageSink) -> None:
     if kind == "scenario":
         _check_scenario(scenario_from(document, path.parent), report)
     elif kind == "vehicle":
@@ -163,7 +162,7 @@ def _check_as(kind: FileKind, document: Document, path: Path, report: Callable[[
         read_map(path, height=0.2, name=None)
 
 
-def _check_scenario(scenario: Scenario, report: Callable[[str], None]) -> None:
+def _check_scenario(scenario: Scenario, report: MessageSink) -> None:
     """Check start, goal and robot of a scenario, and that a path leads to the goal."""
     task = scenario.task()
     vehicle = vehicle_of_task(task)
@@ -176,7 +175,7 @@ def _check_scenario(scenario: Scenario, report: Callable[[str], None]) -> None:
             report(f"warning: {scenario.source.file}: {warning}")
 
 
-def _check_vehicle(document: Document, path: Path, report: Callable[[str], None]) -> None:
+def _check_vehicle(document: Document, path: Path, report: MessageSink) -> None:
     """Check a vehicle file, and the car that it states as its true robot also if another key is wrong."""
     problems = Problems()
     if problems.of(lambda: configured(read_vehicle_file(path))) is None:

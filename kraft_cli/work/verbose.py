@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
+from kraft.text import MessageSink
 from ompl_ext.kernels.specialise import is_cached, vehicle_cache_folder
 from ompl_ext.vehicle import Vehicle
 
@@ -12,7 +12,7 @@ from ompl_ext.vehicle import Vehicle
 class StageTimer:
     """Reports the duration of each stage of a command, from the construction on."""
 
-    def __init__(self, detail: Callable[[str], None]) -> None:
+    def __init__(self, detail: MessageSink) -> None:
         self.detail = detail
         self._began = time.perf_counter()
 

@@ -17,7 +17,7 @@ from kraft.robot.priority import lock_memory, prefer_this_process
 from kraft.robot.robot_file import Loopback, Robot, Rosbridge, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
 from kraft.scenario import Scenario, load_scenario
-from kraft.text import counted, finite, metres
+from kraft.text import MessageSink, counted, finite, metres
 from kraft.trial.planning_vehicle import check_robot, other_robot
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
 from kraft.trial.warnings import far_camera
@@ -48,7 +48,7 @@ class WorldRequest:
 
 def simulate(
     request: WorldRequest,
-    report: Callable[[str], None],
+    report: MessageSink,
     on_open: Callable[[RobotWorld], None] | None = None,
     on_drawing: Callable[[str], None] | None = None,
 ) -> WorldResult:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.errors import Code, InputError, Problems
-from kraft.text import Log
+from kraft.text import MessageSink
 from kraft.worlds.imports import Collection, Request, read_sources, write_imported
 from kraft.worlds.world import Written
 
@@ -29,7 +29,7 @@ class ImportRequest:
     skip: bool = False
 
 
-def run_import(request: ImportRequest, log: Log) -> Collection:
+def run_import(request: ImportRequest, log: MessageSink) -> Collection:
     """Read the sources, and write scenarios and a suite; `log` gets the progress.
 
     Raises:

@@ -9,7 +9,7 @@ import pytest
 
 from kraft import elapsed
 from kraft.elapsed import LOADING, elapsed_time
-from kraft.text import no_log
+from kraft.text import no_messages
 from kraft_cli.progress import Interrupts, Progress
 from kraft_cli.terminal import Terminal
 
@@ -33,7 +33,7 @@ def test_the_time_is_told_with_that_of_earlier_parts_until_the_work_ends() -> No
 def test_short_work_tells_nothing() -> None:
     told = list[str]()
     with elapsed_time(told.append, "working", interval=30.0):
-        no_log("work")
+        no_messages("work")
     assert told == []
 
 

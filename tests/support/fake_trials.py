@@ -20,7 +20,7 @@ from kraft.errors import InputError, MissingDependency
 from kraft.evaluation import cluster, job, processes
 from kraft.evaluation.job import Job, StopRequested, perform
 from kraft.evaluation.journal import TrialRow
-from kraft.text import Log
+from kraft.text import MessageSink
 from kraft.trial.measures import Step
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from support.passages import passage
@@ -171,7 +171,7 @@ class Inline:
     def __init__(self, count: int = 1, shuffle: Callable[[list[Job]], None] = lambda _: None) -> None:
         self._shuffle = shuffle
 
-    def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: Log) -> Iterator[TrialRow]:
+    def run(self, jobs: Sequence[Job], stop_requested: StopRequested, log: MessageSink) -> Iterator[TrialRow]:
         order = list(jobs)
         self._shuffle(order)
         for task in order:
