@@ -18,7 +18,7 @@ from ompl_ext.cores import ONE_BLAS_THREAD
 COMPILE = """
 import sys
 from kraft.planning.compilation import compile_for_headings, compile_maps, ensure_compiled
-from kraft.sysid.factor_graph import ensure_compiled as ensure_identification
+from kraft.sysid.factor_graph import ensure_identification_compiled
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.kernels.callback_kernel import grow
 from ompl_ext.kernels.specialise import (
@@ -29,7 +29,7 @@ if "shared" in sys.argv:
     compile_maps()
     compile_for_headings()
     grow()
-    ensure_identification(load_vehicle("mushr"), "mushr", str)
+    ensure_identification_compiled(load_vehicle("mushr"), "mushr", str)
 for name in sys.argv[1:]:
     if name == "shared":
         continue

@@ -176,7 +176,7 @@ def _cycle(cycle: Cycle, vehicle: Vehicle) -> Iterator[Timed]:
         yield time, "/rosout", log_line(time, f"{cycle.kind}: {cycle.reason}", level=30)
 
 
-def write_recording(path: Path, task: Task, vehicle: Vehicle, recording: Recording) -> None:
+def write_recording_bag(path: Path, task: Task, vehicle: Vehicle, recording: Recording) -> None:
     """Write a recorded run as a bag.
 
     Raises:

@@ -157,7 +157,7 @@ class FastGraph:
         return Point(self.point.states + states, controls, rho)
 
 
-def ensure_compiled(vehicle: Vehicle, reference: str, info: MessageSink) -> None:
+def ensure_identification_compiled(vehicle: Vehicle, reference: str, info: MessageSink) -> None:
     """Compile the steps of the model and the elimination of the graph, unless their machine code is cached.
 
     Args:

@@ -81,7 +81,7 @@ class RecordedRun:
 
 
 @dataclass(frozen=True)
-class Recording:
+class RecordedRuns:
     """All runs, and the `model` that `kraft sysid` has to be told; None if it chooses one for such commands itself."""
 
     runs: tuple[RecordedRun, ...]
@@ -146,7 +146,7 @@ def _recorded_arguments(folder: Path) -> dict[str, Any]:
 
 def record_logs(
     request: RecordRequest, report: MessageSink, on_run: Callable[[RecordedRun], None] | None = None
-) -> Recording:
+) -> RecordedRuns:
     """Record all runs; each is written when it ends, so that an interrupt keeps the finished ones.
 
     With `resume` the runs that the folder has are kept; `on_run` receives them too.
@@ -182,7 +182,7 @@ def record_logs(
             on_run(done[-1])
     if prior is not None and (lost := _cut_short(request, [(run, drives[k][0].end) for k, run in enumerate(done)])):
         report(lost)
-    return Recording(tuple(done), _model_to_state(request, scenario, vehicle))
+    return RecordedRuns(tuple(done), _model_to_state(request, scenario, vehicle))
 
 
 def _cut_short(request: RecordRequest, runs: Sequence[tuple[RecordedRun, float]]) -> str:
@@ -231,13 +231,12 @@ def _record(
 ) -> RecordedRun:
     """Drive a run and write it."""
     from kraft.recording.recorder import write_recording
-    from kraft.robot.bag import bag_of_run
-    from kraft.robot.bag import write_recording as write_bag
+    from kraft.robot.bag import bag_of_run, write_recording_bag
 
     recording = recorder.record(number, *drive)
     folder = write_recording(request.out, inputs.scenario, arguments, recording)
     if request.bag is not None:
-        write_bag(bag_of_run(request.bag, number, runs), inputs.scenario.task(), inputs.vehicle, recording)
+        write_recording_bag(bag_of_run(request.bag, number, runs), inputs.scenario.task(), inputs.vehicle, recording)
     logged = len(recording.commands), len(recording.poses)
     return RecordedRun(folder, recording.manoeuvre.name, recording.end, *logged, recording.note, runs)
 
@@ -276,11 +275,10 @@ def _write_missing_bag(
     runs: int,
 ) -> None:
     """Drive a run again if its bag is asked for and missing, as after a kill between the two, and write that."""
-    from kraft.robot.bag import bag_of_run
-    from kraft.robot.bag import write_recording as write_bag
+    from kraft.robot.bag import bag_of_run, write_recording_bag
 
     if request.bag is not None and not (path := bag_of_run(request.bag, number, runs)).exists():
-        write_bag(path, inputs.scenario.task(), inputs.vehicle, recorder.record(number, *drive))
+        write_recording_bag(path, inputs.scenario.task(), inputs.vehicle, recorder.record(number, *drive))
 
 
 def _inputs(request: RecordRequest) -> _Inputs:

@@ -36,7 +36,7 @@ from kraft.sysid.command_units import (
     with_units,
 )
 from kraft.sysid.data import LogSplit, split_logs
-from kraft.sysid.factor_graph import ensure_compiled
+from kraft.sysid.factor_graph import ensure_identification_compiled
 from kraft.sysid.floor import leaning_floor
 from kraft.sysid.identify import identify
 from kraft.sysid.interface import Identification, Settings
@@ -135,7 +135,7 @@ def run_sysid(
             check_controls(split.fitted, SteeringInMotion.of(split.fitted))
         check_consistency(split.fitted)
         split, left_out = _without_unexplained(split, info)
-        ensure_compiled(base.vehicle, base.reference, info)
+        ensure_identification_compiled(base.vehicle, base.reference, info)
         began = time.perf_counter()
         if auto:
             base, identification, split, units = _identify_car(split, units, settings, info)
@@ -219,7 +219,7 @@ def _identify_car(
     """
     for name in models_of_cars():
         base = load_base_vehicle(name)
-        ensure_compiled(base.vehicle, base.reference, info)
+        ensure_identification_compiled(base.vehicle, base.reference, info)
     progress = ProgressReporter(info)
     model = identify_car(split.fitted, settings, progress, progress.begin)
     if not has_terms(model.base.definition) or not all(u.neutral == 0.0 < u.scale for u in units.values()):

@@ -19,8 +19,7 @@ from support.script import output_of
 from kraft.driving.method import load_method
 from kraft.logs.reader import read_logs
 from kraft.recording.recorder import Recorder, write_recording
-from kraft.robot.bag import EPOCH, BagWriter, scene, write_trial
-from kraft.robot.bag import write_recording as write_bag
+from kraft.robot.bag import EPOCH, BagWriter, scene, write_recording_bag, write_trial
 from kraft.robot.display import occupancy_grid
 from kraft.scenario import OccupancyMap, load_scenario, parse_scenario
 from kraft.sysid import identify
@@ -110,7 +109,7 @@ def test_identification_finds_the_same_in_the_bag_as_in_the_folder(tmp_path: Pat
     for number in (1, 2, 3):
         recording = recorder.record(number)
         write_recording(tmp_path / "logs", scenario, {}, recording)
-        write_bag(tmp_path / f"bags/run_0{number}.mcap", scenario.task(), vehicle, recording)
+        write_recording_bag(tmp_path / f"bags/run_0{number}.mcap", scenario.task(), vehicle, recording)
     by_folder, by_bag = (identify(vehicle, read_logs(tmp_path / name).logs) for name in ("logs", "bags"))
     for one, other in zip(by_folder.parameters.values(), by_bag.parameters.values(), strict=True):
         assert other.value == pytest.approx(one.value, abs=1e-3 * one.std)
