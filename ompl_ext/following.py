@@ -23,24 +23,25 @@ from ompl_ext.motion import motion_of
 from ompl_ext.moves import Arc, Moves, arcs_of
 from ompl_ext.vehicle import Vehicle
 
-PIECE = 0.4  # duration of the pieces into which a longer motion is cut (s)
-BIN, BRIEF = 0.15, 0.03  # motions of the path are averaged over BIN, or over BRIEF where they change (s)
+PIECE = 0.4  # duration of the pieces that are fitted one after the other (s)
+BIN, BRIEF = 0.15, 0.03  # time over which motions of the path are averaged, and the least one where they change (s)
 REVERSED = 0.1  # cosine between two velocities of the body below which it stops in between
-LONGEST = 0.1  # of an edge (s): short ones need less clearance for the motion between two samples
-STEPS = 10  # of the integration of a control
-BRAKING, BRAKING_STEPS = 0.02, 60  # step (s) and number of steps in which a piece is to stop
-ACCURATE = 5e-4  # error of a piece that is good enough (m)
-REST_TIME = 0.1  # with which a speed at the end of a piece counts as an error (s)
-ITERATIONS, LARGEST_STEP = 12, 0.7  # of Gauss-Newton; of a control, as a share of its range
-SHORTEST, LONGEST_HELD, TIME_RANGE = 0.01, 2.0, 0.2  # of a duration, and what corresponds to a control's range (s)
+LONGEST = 0.1  # longest edge (s): short ones need less clearance for the motion between two samples
+STEPS = 10  # integration steps for each control
+BRAKING, BRAKING_STEPS = 0.02, 60  # step (s) and number of steps of the simulated braking at the end of a piece
+ACCURATE = 5e-4  # largest error of a piece below which its fit ends (m)
+REST_TIME = 0.1  # factor from a speed at the end of a piece, or one beyond a limit, to an error in m (s)
+ITERATIONS, LARGEST_STEP = 12, 0.7  # most iterations of a fit; largest step of a control, as a share of its range
+SHORTEST, LONGEST_HELD = 0.01, 2.0  # bounds of the duration of a control in a fit (s)
+TIME_RANGE = 0.2  # change of a duration that counts as much as one of a control by its range (s)
 TOLERABLE = 0.2  # error at the end of a piece beyond which a path is given up, as a share of the footprint's reach
 NEAR = 0.01  # error at the end of a section with which it is taken at speed, as a share of the footprint's reach
-DAMPING, MOST_DAMPING = 1e-6, 1.0  # of Gauss-Newton (m^2)
-PROGRESS = 0.9  # share of the squared errors that is left after a step beyond which the steps end
-CHANGE = 1e-4  # share of the range by which derivatives are taken
-STRAY = 0.01  # deviation of an arc from the path, as a share of the footprint's width
-SPARED = 0.2  # the same, as a share of the clearance
-ASIDE = 0.3  # weight of errors to the side of an arc
+DAMPING, MOST_DAMPING = 1e-6, 1.0  # first and least damping of a fit, and the largest (m^2)
+PROGRESS = 0.9  # squared errors after a step, over those before it, above which a fit ends
+CHANGE = 1e-4  # change of an input in a numeric derivative, as a share of its range
+STRAY = 0.01  # allowed deviation of an arc from the path, as a share of the footprint's width, ...
+SPARED = 0.2  # ... or of the clearance there, if that is more
+ASIDE = 0.3  # weight of errors to the side of an arc on the way, over those of the pose at its end
 
 
 IsFree = Callable[[Floats, Matrix, Floats, float], bool]

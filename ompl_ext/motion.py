@@ -15,11 +15,13 @@ from ompl_ext.vehicle import Vehicle
 STEP = 0.05  # of the simulated motions (s)
 ROLLOUTS, SEGMENTS, SEGMENT_STEPS = 48, 12, 10  # random motions, constant controls of each, steps of each of these
 HELD_STEPS = 100  # of the motions with one control each, at its bounds or zero
-CORNERS = 3  # controls of which all lowest, highest and zero values are combined; of more only random ones
+CORNERS = 3  # most controls whose lowest, zero and highest values are all combined; of more, random combinations
 ON_BOUND = 1 / 3  # share of the random controls on each bound
-CACHED = 16  # vehicles
-EDGE_DURATIONS = (0.5, 1.0)  # of most vehicles (s)
-SLOW_RESPONSE = 1.2  # time to the top speed (s) from which on edges are longer
+CACHED = 16  # vehicles whose motions are kept
+EDGE_DURATIONS = (0.5, 1.0)  # shortest and longest edge for most vehicles (s)
+SLOW_RESPONSE = 1.2  # time to the top speed above which edges are longer (s)
+PREFER_SLOW = 0.05  # share of a twist's size that counts against it: of almost equal twists the slowest is taken
+NEGLIGIBLE = 0.02  # share of the largest twist below which a twist counts as none, or two count as the same
 
 _cache: OrderedDict[tuple[object, ...], Motion] = OrderedDict()
 
@@ -58,10 +60,6 @@ class Motion:
         chosen = scaled[found]
         chosen[np.abs(chosen) < 2.0 * NEGLIGIBLE * size.max()] = 0.0
         return chosen / (1.0, 1.0, length), np.array(found)
-
-
-PREFER_SLOW = 0.05
-NEGLIGIBLE = 0.02  # share of the largest speed below which a twist is none, or two are the same
 
 
 def _distinct(scaled: Matrix, indices: list[int]) -> list[int]:

@@ -21,15 +21,15 @@ from ompl_ext.kernels.specialise import kernels
 from ompl_ext.motion import Motion, corners
 from ompl_ext.vehicle import Vehicle
 
-LARGEST_TURN = 2.0  # of an arc (rad)
+LARGEST_TURN = 2.0  # largest turn of an arc (rad)
 TRIED = 0.2  # duration of the motions that show what a control does (s)
-ALIKE = 0.01  # cosines that differ by less are the same
-NOTICED = (0.01, 10)  # step (s) and number of steps after which a brake is noticed
-SPEEDING, BRAKING = (0.025, 80), (0.02, 100)  # step (s) and number of steps of the simulated moves
-SETTLING = (0.05, 20)  # the same of standing until the wheels are turned
-STOPPED = 0.01  # share of the speed at which a braking vehicle may stop to brake
-SETTLED = 0.01  # share of the range of a component that it changes in a step from which on it is settled
-MOVED = 0.02  # share of the footprint's reach by which a control moves the vehicle, or else only turns its wheels
+ALIKE = 0.01  # difference of the cosines up to which two directions are equally near the wanted one
+NOTICED = (0.01, 10)  # step (s) and number of steps of the motions that show which control brakes
+SPEEDING, BRAKING = (0.025, 80), (0.02, 100)  # step (s) and number of steps: acceleration of a move, and braking
+SETTLING = (0.05, 20)  # step (s) and number of steps in which a vehicle that stands turns its wheels
+STOPPED = 0.01  # speed above the lowest one at which braking is over, as a share of the speed before
+SETTLED = 0.01  # distance of a component from its last value, as a share of its range, below which it has settled
+MOVED = 0.02  # motion in 0.5 s from which on a control moves the vehicle, as a share of the footprint's reach
 
 
 class Arc(NamedTuple):

@@ -41,22 +41,23 @@ from ompl_ext.problem import lanes_of, pose_cost_to_go_of
 from ompl_ext.query import Goal, Settings
 from ompl_ext.vehicle import Vehicle
 
-INTERVAL, STRIDE = 0.1, 0.35  # longest interval of a guess (s), and motion in it at the top speed (footprint's lengths)
-MOST_INTERVALS = 300  # of a guess; longer plans have longer ones
+INTERVAL = 0.1  # longest interval of a guess (s), ...
+STRIDE = 0.35  # ... and longest way in it at the top speed, in lengths of the footprint
+MOST_INTERVALS = 300  # most intervals of a guess; longer plans have longer intervals
 RANGE = (0.2, 2.0)  # shortest and longest interval after an improvement, as multiples of those of the guess
-CAREFULLY = 1.2  # factor of the durations of a first guess over those at constant speed
+CAREFULLY = 1.2  # durations of a guess along a path of poses over those at constant speed: it has to accelerate
 HARD = 1e6  # last stiffness of the model
 INSIDE, NEAR_BORDER = 0.6, 1e-3  # share of the goal's tolerances that is aimed for; least distance from its border (m)
-LAST_TRIALS = 20  # steps of a last round
-REPLAYS = 10  # last rounds, each with more clearance
-CONVERGED = 1e-4  # share of the time that a step must save
-ROUNDING = 1e-6  # of a time step by which a trajectory may exceed a multiple of it
-DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-6, 1e8  # of the steps
+LAST_TRIALS = 20  # most steps of a last round
+REPLAYS = 10  # most last rounds, each with more clearance than the one before
+CONVERGED = 1e-4  # share of the trajectory's time that a step must save, or else a round ends
+ROUNDING = 1e-6  # share of a time step by which a trajectory may exceed a multiple of it
+DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-6, 1e8  # Levenberg's damping of the steps: first, and its bounds
 TRUST = 3.0  # damping of the states over that of the controls
 SMOOTHING_STEPS, SMOOTHING_TRIALS = 8, 14  # steps after which smoothing ends, refused ones not counted, and all of them
-ENOUGH_LONGER, MOST_LONGER = 1.3, 3.0  # times what a plan may take longer: at its end, and after repeated rounds
-SMOOTHER, LEAST_SMOOTHER, MOST_SMOOTHER = 2.0, 1.0, 8.0  # factor of the weight of changes in these steps: first, bounds
-SMOOTHER_STEP = 1.3  # factor from one to the next
+ENOUGH_LONGER, MOST_LONGER = 1.3, 3.0  # largest extra time over the wanted one: when smoothing ends, and of its result
+SMOOTHER, LEAST_SMOOTHER, MOST_SMOOTHER = 2.0, 1.0, 8.0  # factor on the weight of changes in smoothing: first, bounds
+SMOOTHER_STEP = 1.3  # change of that factor from one step to the next
 
 
 class Smoothness(NamedTuple):

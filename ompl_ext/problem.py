@@ -40,13 +40,13 @@ from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.vehicle import Footprint, Vehicle
 
 CACHED_MAPS = 8  # maps of the latest queries that a process keeps: those of the methods of an evaluation in one scene
-FINE_CELL = 0.01  # of the clearance field if the goal has a heading (m)
-SHARE = 0.08  # of the footprint's width that a cell of the clearance field has at most if the goal has none
-SHORT = 0.1  # share of the shortest edge that an edge near the goal lasts at least
-COARSEST = 0.3  # cell of the cost-to-go of poses as a share of the footprint's width
-EXCESS = 0.01  # of the discs over the footprint where a heading is asked for, as a share of its width
-LARGE_EXCESS = 0.03  # of those of the cost-to-go of poses, away from the goal
-PRECISE = 0.018  # spacing of the fine field there, as a share of the footprint's width
+FINE_CELL = 0.01  # largest cell of the clearance field if the goal has a heading (m)
+SHARE = 0.08  # the same if the goal has none, as a share of the footprint's width
+SHORT = 0.1  # shortest edge near an exact goal over the shortest one elsewhere
+COARSEST = 0.3  # largest cell of the cost-to-go of poses, as a share of the footprint's width
+EXCESS = 0.01  # excess of the discs over the footprint if the goal has a heading, as a share of its width
+LARGE_EXCESS = 0.03  # the same in the cost-to-go of poses away from the goal
+PRECISE = 0.018  # spacing of the fine field if the goal has a heading, as a share of the footprint's width
 
 
 def make_problem(

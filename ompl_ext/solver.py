@@ -26,21 +26,21 @@ from ompl_ext.query_tree import Progress, QueryTree
 from ompl_ext.retainment import edges_to_retain
 from ompl_ext.vehicle import Vehicle
 
-FIRST_CHUNK = 64  # iterations between readings of the clock until a solution is found, which ends them early
+FIRST_CHUNK = 64  # iterations between readings of the clock until the first plan, at which they end early
+LONGEST_CHUNK = 0.002  # time between readings of the clock once a plan is found (s)
+PRUNE_EVERY = 4096  # iterations between prunings of the tree of one thread
 FIRST_ROUND = 16  # iterations of each thread before the first exchange of the best cost; doubled from one to the next
-PRUNE_EVERY = 4096  # iterations
-LONGEST_ROUND = 1024  # iterations of each thread between two exchanges of the best cost
-ROUNDS_TO_PRUNING = 4
-LONGEST_CHUNK = 0.002  # seconds between readings of the clock afterwards
+LONGEST_ROUND = 1024  # most iterations of each thread between two exchanges of the best cost
+ROUNDS_TO_PRUNING = 4  # exchanges between prunings of the trees of several threads: PRUNE_EVERY of the longest rounds
 POLISH_FIRST, POLISH_AGAIN = 256, 4  # iterations before the first optimisation, and the factor from one to the next
 POLISH_EVERY = 512  # iterations between optimisations for goals with a heading
-POLISH_GAIN = 0.005  # s by which the tree's best plan must be better than the last time
-PATHS, PATHS_AGAIN = 4, 2  # that are tried before the search begins, without and with edges of an earlier plan
-CONVERGES = 0.01  # share of the cost that an optimisation saves below which it is not repeated for the same plan
-REHEARSALS, REHEARSED = 16, 32  # queries of how many iterations before the first one
-GOLDEN = 0.618  # step of their places across the workspace, as a share of it
-PATIENCE = 0.1  # weight of the time for a first guess: at first it has to become feasible
-_rehearsed: set[tuple[int, str, bool]] = set()  # kernels, which a process keeps, and what is searched with them
+POLISH_GAIN = 0.005  # time by which the tree's best plan must be shorter than the one optimised last (s)
+PATHS, PATHS_AGAIN = 4, 2  # paths of poses tried before the search, without and with edges of an earlier plan
+CONVERGES = 0.01  # share of the cost that an optimisation must save to be repeated for its own result
+WARM_UP_QUERIES, WARM_UP_ITERATIONS = 16, 32  # number of queries before the first one, and iterations of each
+GOLDEN = 0.618  # golden section: step in x of the starts of these queries, as a share of the workspace's width
+GUESS_URGENCY = 0.1  # weight of the time in the optimisation of a path of poses, which has to become feasible first
+_warmed_up: set[tuple[int, str, bool]] = set()  # kernels, which a process keeps, and what is searched with them
 
 
 @dataclass(frozen=True)
@@ -94,24 +94,24 @@ class DirtSolver(QueryTree):
         self._follower: PathFollower | None = None  # made with the first path
         self._polished = _Polished()
         self._polish_due = self._first_polish()  # iterations of each tree before the next attempt
-        self._rehearse()
+        self._warm_up()
 
-    def _rehearse(self) -> None:
+    def _warm_up(self) -> None:
         """Plan for a moment from places all over the workspace, so that the first query is as fast as later ones.
 
         In a new process, kernels are loaded when they are first used; later solvers for the same ones find them there.
         """
         what = id(self._kernels), self.settings.planner, self.safety.enabled
-        if what in _rehearsed:
+        if what in _warmed_up:
             return
-        _rehearsed.add(what)
+        _warmed_up.add(what)
         state, places = np.zeros(len(self.vehicle.state)), [self.vehicle.index(name) for name in ("x", "y")]
         low, high = np.array(self.workspace.bounds).T
-        for k in range(REHEARSALS):
-            state[places] = low + (high - low) * [GOLDEN * k % 1.0, (k + 0.5) / REHEARSALS]
+        for k in range(WARM_UP_QUERIES):
+            state[places] = low + (high - low) * [GOLDEN * k % 1.0, (k + 0.5) / WARM_UP_QUERIES]
             self.start(state)
             if self.goal is not None and not self._follows_path:
-                self.grow(REHEARSED, stop=lambda: bool(self._progress.history))
+                self.grow(WARM_UP_ITERATIONS, stop=lambda: bool(self._progress.history))
         if self.safety.enabled:
             self.contingency(state)
         self.clear()
@@ -287,7 +287,7 @@ class DirtSolver(QueryTree):
         guess = guess_to_goal(vehicle, self.workspace, goal, self.settings, self._tree.state[0].copy())
         self._polished = replace(self._polished, guessed=True)
         if guess is not None:
-            self._improve(guess, [], PATIENCE)
+            self._improve(guess, [], GUESS_URGENCY)
             self._insert_polished()
 
     def _add_edges(self, controls: Matrix, durations: Floats) -> None:

@@ -39,15 +39,15 @@ from ompl_ext.retainment import RetainableEdges
 from ompl_ext.solver import DirtSolver
 from ompl_ext.verification import violations
 
-RECOVERY_MARGIN = 0.005  # by which the required clearance of a recovery is below the present one (m)
-STALLED = 0.5  # cost by which a plan exceeds what was left of the last one if there is no progress (s)
+RECOVERY_MARGIN = 0.005  # present clearance less the one that a recovery requires (m)
+STALLED = 0.5  # cost of a plan beyond what was left of the last one from which on there is no progress (s)
 LEVEL_GAIN = 0.1  # share of its cost that a plan must save to keep less clearance
-LEAST_GAIN = 0.2  # that it must save at least, and that suffices where plans would get more expensive otherwise (s)
+LEAST_GAIN = 0.2  # least cost that it must save; that is enough where plans cost more than what was left (s)
 DETOUR = 1.0  # cost of a plan beyond the cost-to-go from which on plans that keep less clearance are tried (s)
-RISE = 0.4  # that a plan may cost to keep more clearance than the last one, less than a regression (s)
-PROBES = 2  # attempts at retaining a remainder at a level before it is searched at
-PROBES_HIGHER = 4  # the same at a level above that of the last plan, whose remainder is the fallback
-LOSS_CANDIDATES = 20  # plans of a tree that are examined for room for a loss of commands, if the best one has none
+RISE = 0.4  # what a plan may cost to keep more clearance than the last one (s), below `REGRESSION` of `trial.measures`
+PROBES = 2  # attempts at retaining the remainder to find out whether a higher level is worth a search
+PROBES_HIGHER = 4  # attempts in a search at a level above that of the last plan, whose remainder is the fallback
+LOSS_CANDIDATES = 20  # next best plans that are examined for room for a loss of commands if the best one has none
 
 
 @dataclass(frozen=True)

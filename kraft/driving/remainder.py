@@ -11,11 +11,11 @@ from ompl_ext.plan import Plan
 from ompl_ext.retainment import RetainableEdges, remaining_edges
 from ompl_ext.solver import DirtSolver
 
-RETAINED_TOLERANCE = 0.1  # by which the cost of a retained plan may exceed what was left of it: roundings of edges (s)
-CORRECTION_ATTEMPTS = 12  # at retaining a remainder with different random corrections
-ATTEMPT_TOLERANCE = 0.03  # by which a whole remainder may cost more after each attempt at a cheaper one (s)
-FRUITLESS_ATTEMPTS = 6  # in a row, that retain no more and save less than this tolerance, after which no more are made
-ATTEMPT_SEEDS = 1_000_000_007  # between the seeds of two attempts
+RETAINED_TOLERANCE = 0.1  # most that a retained plan costs beyond what was left of it, for the rounding of edges (s)
+CORRECTION_ATTEMPTS = 12  # most attempts at retaining a remainder, each with other random corrections
+ATTEMPT_TOLERANCE = 0.03  # what a whole remainder may cost more after each attempt at a cheaper one (s)
+FRUITLESS_ATTEMPTS = 6  # attempts in a row that neither retain more nor save ATTEMPT_TOLERANCE, after which they end
+ATTEMPT_SEEDS = 1_000_000_007  # difference between the seeds of two attempts
 
 
 @dataclass(frozen=True)

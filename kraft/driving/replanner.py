@@ -41,10 +41,10 @@ from ompl_ext.obstacles import Polygon
 from ompl_ext.plan import Plan
 from ompl_ext.poses import displacement, poses_of
 
-SETTLED = 0.3  # time after the end of a contingency from which on the vehicle stands (s)
+SETTLED = 0.3  # time after the end of a contingency from which on the vehicle is taken to stand (s)
 FORGET = 2.0  # time without a plan to the goal after which what blocked a vehicle is forgotten (s)
 NO_ROOM = "the plan leaves no room for a stop without commands"
-NOISE = 0.1  # speed that the estimate of a standing vehicle may have (m/s)
+NOISE = 0.1  # estimated speed of a vehicle that stands, at most (m/s)
 
 
 @dataclass(frozen=True)

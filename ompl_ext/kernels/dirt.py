@@ -68,13 +68,13 @@ from ompl_ext.kernels.rng import uniform
 from ompl_ext.kernels.tree import add_to_indices, closed_radius, distance_squared, select
 from ompl_ext.trigonometry import cos, sin
 
-EXPLORATION_INSERTIONS = 4  # candidates that an exploring visit adds
-MAX_DEVIATION = 0.01  # of the end of a retained edge from its target, beyond which it is corrected (m)
-DEVIATION_LENGTH, DEVIATION_SPEED = 0.3, 0.2  # with which errors of heading (m/rad) and duration (m/s) count
-LARGEST_CORRECTION = 0.4  # share of a control's range, or of the duration
-CORRECTION_ROUNDS = 4
-CORRECTION_TRIES = 4  # lanes that are tried if SAFETY refuses those that end nearer to the target
-NEAR_GOAL = 2.0  # longest edges of cost-to-go within which edges may be shorter
+EXPLORATION_INSERTIONS = 4  # most candidates that an exploring visit adds
+MAX_DEVIATION = 0.01  # deviation of a retained edge's end from its target beyond which it is corrected (m)
+DEVIATION_LENGTH, DEVIATION_SPEED = 0.3, 0.2  # factors from errors of heading (m/rad) and duration (m/s) to a deviation
+LARGEST_CORRECTION = 0.4  # largest change in the first correction, as a share of a control's range or of the duration
+CORRECTION_ROUNDS = 4  # most corrections of a retained edge; changes are smaller after each one that is free and safe
+CORRECTION_TRIES = 4  # variants of an edge that SAFETY may refuse before the next correction
+NEAR_GOAL = 2.0  # cost-to-go below which edges may be shorter, in durations of the longest edge
 Propagate = Callable[[Floats, int, Problem, Lanes], None]
 Check = Callable[[int, float, Problem, Lanes], float]
 Safe = Callable[[int, float, Problem, Lanes, Lanes], int]
