@@ -263,7 +263,7 @@ def _pose_seconds(
 
 
 def memory_of_maps(
-    vehicle: Vehicle, workspace: Workspace, safety: Safety, settings: Settings, goal: Goal | None = None
+    vehicle: Vehicle, workspace: Workspace, safety: Safety, settings: Settings, goal: Goal | None
 ) -> int:
     """Memory (bytes) that the maps of a query need at most."""
     settings, delta = settings_for(settings, vehicle, workspace, goal), _largest_delta(vehicle, safety)

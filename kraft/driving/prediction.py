@@ -103,6 +103,6 @@ def required_clearance(dirt: DirtSolver, states: Matrix, since: Floats | float =
     return dirt.safety.clearance(speeds, np.broadcast_to(since, len(states)))
 
 
-def least_slack(dirt: DirtSolver, states: Matrix, since: Floats | float = math.inf) -> float:
+def least_slack(dirt: DirtSolver, states: Matrix, since: Floats | float) -> float:
     """Smallest clearance of states (n, nx) beyond the one that SAFETY asks for (m), a lower bound; `since` as above."""
     return float(dirt.least_slacks(states, np.full(len(states), since), np.array([len(states)]))[0])

@@ -19,7 +19,6 @@ from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
 from kraft.driving.prediction import least_slack
 from kraft.driving.remainder import (  # fmt: skip
-    CORRECTION_ATTEMPTS,
     RETAINED_TOLERANCE,
     Remainder,
     has_remainder,
@@ -45,6 +44,7 @@ LEVEL_GAIN = 0.1  # share of its cost that a plan must save to keep less clearan
 LEAST_GAIN = 0.2  # least cost that it must save; that is enough where plans cost more than what was left (s)
 DETOUR = 1.0  # cost of a plan beyond the cost-to-go from which on plans that keep less clearance are tried (s)
 RISE = 0.4  # what a plan may cost to keep more clearance than the last one (s), below `REGRESSION` of `trial.measures`
+CORRECTION_ATTEMPTS = 12  # most attempts at retaining a remainder, each with other random corrections
 PROBES = 2  # attempts at retaining the remainder to find out whether a higher level is worth a search
 PROBES_HIGHER = 4  # attempts in a search at a level above that of the last plan, whose remainder is the fallback
 LOSS_CANDIDATES = 20  # next best plans that are examined for room for a loss of commands if the best one has none

@@ -12,7 +12,6 @@ from ompl_ext.retainment import RetainableEdges, remaining_edges
 from ompl_ext.solver import DirtSolver
 
 RETAINED_TOLERANCE = 0.1  # most that a retained plan costs beyond what was left of it, for the rounding of edges (s)
-CORRECTION_ATTEMPTS = 12  # most attempts at retaining a remainder, each with other random corrections
 ATTEMPT_TOLERANCE = 0.03  # what a whole remainder may cost more after each attempt at a cheaper one (s)
 FRUITLESS_ATTEMPTS = 6  # attempts in a row that neither retain more nor save ATTEMPT_TOLERANCE, after which they end
 ATTEMPT_SEEDS = 1_000_000_007  # difference between the seeds of two attempts
@@ -47,9 +46,7 @@ def retained_plan(dirt: DirtSolver, remainder: Remainder) -> Plan | None:
     return plan if plan.reaches_goal or not dirt.safety.enabled or plan.cost >= dirt.safety.cycle else None
 
 
-def start_with_best_corrections(
-    dirt: DirtSolver, root: Floats, remainder: Remainder, seed: int, attempts: int = CORRECTION_ATTEMPTS
-) -> bool:
+def start_with_best_corrections(dirt: DirtSolver, root: Floats, remainder: Remainder, seed: int, attempts: int) -> bool:
     """Start a query at `root` (nx,) with the seed, of several, that retains most of a remainder; the cheapest if all.
 
     The query was started with the first `seed`.  Returns whether the remainder is in the tree already, as it is if the

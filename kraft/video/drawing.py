@@ -138,7 +138,10 @@ PLAN_HEIGHT, CONTINGENCY_HEIGHT, ESTIMATE_HEIGHT = 0.009, 0.012, 0.014
 """Height above the ground, m: what is higher covers what is lower."""
 SPACING: Final = 0.05
 """Length of the straight pieces of a stroke, m: short enough for curves and bumps."""
+DASH: Final = 0.045
+"""Length of a dash, m."""
 THICKNESS: Final = 0.002
+"""Height of a stroke, m."""
 STAGGER: Final = 2e-5
 """Each piece lies this much above the one before it, m: where they overlap one of them is in front."""
 
@@ -162,10 +165,10 @@ class Pen:
         if len(path) > 1:
             self._bands(segments(self._surface.raised(path, rise)), width, colours)
 
-    def dashes(self, path: Matrix, width: float, rise: float, colour: Colour, length: float = 0.045) -> None:
-        """A band in dashes of `length` with gaps a little shorter."""
+    def dashes(self, path: Matrix, width: float, rise: float, colour: Colour) -> None:
+        """A band in dashes with gaps a little shorter."""
         if len(path) > 1:
-            places = self._surface.raised(resampled(path, length / 3), rise)
+            places = self._surface.raised(resampled(path, DASH / 3), rise)
             pieces = segments(places)
             shown = np.arange(len(pieces)) % 5 < 3
             self._bands(pieces[shown], width, np.tile(colour, (int(shown.sum()), 1)))

@@ -32,6 +32,7 @@ from kraft.driving.levels import (
 )
 from kraft.driving.method import Adaptive, CalibratedBound, Clearance, Filter, Method, PlannerSettings, load_method
 from kraft.driving.proposer import (
+    CORRECTION_ATTEMPTS,
     DETOUR,
     LEAST_GAIN,
     LEVEL_GAIN,
@@ -39,7 +40,7 @@ from kraft.driving.proposer import (
     RISE,
     STALLED,
 )
-from kraft.driving.remainder import ATTEMPT_TOLERANCE, CORRECTION_ATTEMPTS, RETAINED_TOLERANCE
+from kraft.driving.remainder import ATTEMPT_TOLERANCE, RETAINED_TOLERANCE
 from kraft.driving.room import NEARBY, NEARER, ROOM
 from kraft.driving.search_budget import PATIENCE
 from kraft.driving.solvers import COVER_EXCESS, method_safety

@@ -69,7 +69,7 @@ class NoiseEstimate:
         density = (1.0 - kept**2) / (1.0 - 2.0 * kept * math.cos(math.tau * interval / length) + kept**2)
         return 1.0 - self.share + self.share * density
 
-    def of_one_pose(self, interval: float, length: float = math.inf) -> Noise:
+    def of_one_pose(self, interval: float, length: float) -> Noise:
         """Noise of a pose as if poses, `interval` s apart, were independent: with the same information together.
 
         That is the information on what varies once in `length` s: errors that vary more slowly change little in a
