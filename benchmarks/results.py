@@ -17,10 +17,10 @@ from pathlib import Path
 
 from benchmarks import claims as paired
 from benchmarks.claims import Claim
+from benchmarks.parallel import interval
 from kraft.errors import Code, InputError, KraftError
 from kraft.evaluation.experiment import METHODS
 from kraft.evaluation.report.results import Results, read_results
-from kraft.evaluation.statistics import wilson
 from kraft.evaluation.summary import MANY, Result
 from kraft.evaluation.table import markdown
 from kraft.files import write_whole
@@ -159,7 +159,7 @@ def totals(found: Results) -> list[str]:
         collision = sum(r.collision for r in mine)
         time = sum(r.t_ex * r.success for r in mine if r.t_ex is not None) / success if success else None
         rows.append([
-            title, f"{success} of {trials}", _interval(success, trials), str(collision), _interval(collision, trials),
+            title, f"{success} of {trials}", interval(success, trials), str(collision), interval(collision, trials),
             decimals(time, 2),
         ])  # fmt: skip
     return [*_markdown(rows), ""]
@@ -234,7 +234,7 @@ def differences(found: Results) -> list[str]:
         verdict = "" if low <= rate <= high else "higher here" if low > rate else "lower here"
         paper = f"{result.paper.success} of {result.paper.trials}"
         ours = f"{result.success} of {result.trials}"
-        rows.append([result.entry, result.title, ours, _interval(result.success, result.trials), paper, verdict])
+        rows.append([result.entry, result.title, ours, interval(result.success, result.trials), paper, verdict])
     return ["Successes beside the paper's:", "", *_markdown(rows), ""] if len(rows) > 1 else []
 
 
@@ -297,11 +297,6 @@ def with_table(readme: Path, found: Sequence[Results]) -> str:
     if not begin or not end:
         raise InputError.of(str(readme), "has no marks of the table", f"expected {BEGIN} and {END}", Code.MISSING)
     return "\n".join([before + begin, *method_table(found), end + after])
-
-
-def _interval(count: int, total: int) -> str:
-    low, high = wilson(count, total)
-    return f"{100 * low:.1f} to {100 * high:.1f} %"
 
 
 def _markdown(rows: Sequence[Sequence[str]]) -> list[str]:

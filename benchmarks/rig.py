@@ -37,6 +37,7 @@ CREEPING = 0.05  # up to which one stands that still settles after a fault (m/s)
 
 
 def free_port() -> int:
+    """Port of this machine that nobody listens to."""
     with socket.socket() as opened:
         opened.bind(("localhost", 0))
         return int(opened.getsockname()[1])

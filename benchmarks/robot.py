@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import socket
 import subprocess
 import sys
 import tempfile
@@ -15,6 +14,7 @@ from typing import Any, Final
 
 from benchmarks.effort import Effort
 from benchmarks.report import Report, Row, Target, row
+from benchmarks.rig import free_port
 from kraft.trial.result import TrialSpec
 from kraft.trial.trial import run_trial
 
@@ -76,7 +76,7 @@ def drive(scene: str, transport: str, seed: int) -> Pair:
         if transport == "ros2":
             settings = f"{{kind: ros2, domain: {1 + seed % 200}, interface: lo}}"
         else:
-            settings = f'{{kind: rosbridge, url: "ws://localhost:{_free_port()}"}}'
+            settings = f'{{kind: rosbridge, url: "ws://localhost:{free_port()}"}}'
         (folder / "robot.yaml").write_text(FILE.format(transport=settings), encoding="utf-8")
         common = [scene, "--robot", str(folder / "robot.yaml"), "--seed", str(seed), "--json"]
         with ExitStack() as ends:
@@ -101,9 +101,3 @@ def _end(process: subprocess.Popen[str]) -> None:
     """End a process that may have ended by itself, and close what was read of it."""
     with process:
         process.kill()
-
-
-def _free_port() -> int:
-    with socket.socket() as opened:
-        opened.bind(("localhost", 0))
-        return int(opened.getsockname()[1])

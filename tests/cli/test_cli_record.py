@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from support.evaluation import places
 from support.paths import ROOT
+from support.recorded import contents
 
 from kraft.config import bundled
 from kraft.driving.vehicle_model import model_of
@@ -26,10 +27,6 @@ from kraft_cli.work.next_drives import load_prior
 from ompl_ext.vehicle import Vehicle
 
 FILES = {"commands.csv", "poses.csv", "truth.csv", "manifest.json"}
-
-
-def contents(path: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(path)): p.read_bytes() for p in sorted(path.rglob("*")) if p.is_file()}
 
 
 def test_each_run_is_a_folder_with_what_was_driven(capsys: pytest.CaptureFixture[str]) -> None:

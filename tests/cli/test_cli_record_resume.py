@@ -11,15 +11,12 @@ from pathlib import Path
 
 import pytest
 from support.evaluation import places
+from support.recorded import contents
 
 from kraft.recording import experiment
 from kraft.recording.recorder import Recorder, Recording
 from kraft_cli.main import main
 from kraft_cli.work import record as request
-
-
-def contents(path: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(path)): p.read_bytes() for p in sorted(path.rglob("*")) if p.is_file()}
 
 
 def interrupted(patch: pytest.MonkeyPatch, before: int, *arguments: str) -> None:

@@ -12,7 +12,7 @@ import pytest
 from support.evaluation import places
 from support.logs import REAL_LOGS, needs_real_logs
 from support.paths import ROOT
-from support.recorded import FOUR, IDENTIFY
+from support.recorded import FOUR, IDENTIFY, weaken
 
 from kraft.recording import experiment
 from kraft.sysid import factor_graph as compilation
@@ -32,13 +32,6 @@ def keep_seconds(run: Path, seconds: float) -> None:
     for path in (run / "poses.csv", run / "commands.csv"):
         heading, *rows = path.read_text().splitlines(keepends=True)
         path.write_text("".join([heading, *(row for row in rows if float(row.split(",")[0]) <= seconds)]))
-
-
-def weaken(run: Path, factor: float) -> None:
-    """Scale the throttle of a log, as if it were of a car that drives faster with less of it."""
-    heading, *rows = (run / "commands.csv").read_text().splitlines()
-    commands = np.loadtxt(rows, delimiter=",") * [1.0, factor, 1.0]
-    np.savetxt(run / "commands.csv", commands, fmt="%.9g", delimiter=",", header=heading, comments="")
 
 
 def said(capsys: pytest.CaptureFixture[str]) -> list[str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.recorded import FOUR
+from support.recorded import FOUR, weaken
 
 from kraft_cli.main import main
 
@@ -19,13 +19,6 @@ pytestmark = pytest.mark.usefixtures("logs")
 
 def said(capsys: pytest.CaptureFixture[str]) -> list[str]:
     return capsys.readouterr().err.splitlines()
-
-
-def weaken(run: Path, factor: float) -> None:
-    """Scale the throttle of a log, as if it were of a car that drives faster with less of it."""
-    heading, *rows = (run / "commands.csv").read_text().splitlines()
-    commands = np.loadtxt(rows, delimiter=",") * [1.0, factor, 1.0]
-    np.savetxt(run / "commands.csv", commands, fmt="%.9g", delimiter=",", header=heading, comments="")
 
 
 def rewrite(run: Path, file: str, change: Callable[[np.ndarray], np.ndarray]) -> None:

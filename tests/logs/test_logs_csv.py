@@ -8,10 +8,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.logs import Drive, drive, located, wide_columns, wrapped, write_pair, write_table, write_wide
+from support.logs import (
+    drive,
+    located,
+    problems_of,
+    read_one,
+    same_drive,
+    wide_columns,
+    wrapped,
+    write_pair,
+    write_table,
+    write_wide,
+)
 
 from kraft.errors import InputError
-from kraft.logs.log import Log
 from kraft.logs.mapping import Mapping
 from kraft.logs.matching import missing_columns
 from kraft.logs.names import axis_score, control_score, parse, time_score, yaw_score
@@ -22,27 +32,6 @@ from kraft_cli.work.run_folder import step_heading
 
 MADE = drive()
 WIDE = wide_columns(np.arange(0.025, 5.9, 0.025), MADE)
-
-
-def read_one(path: Path, **options: object) -> Log:
-    found = read_logs(path, **options)  # type: ignore[arg-type]
-    assert not found.problems
-    assert len(found.logs) == 1
-    return found.logs[0]
-
-
-def problems_of(path: Path) -> list[str]:
-    with pytest.raises(InputError) as error:
-        read_logs(path)
-    return located(error.value.diagnostics, path.parent)
-
-
-def same_drive(log: Log, made: Drive) -> None:
-    (part,) = log.parts
-    np.testing.assert_allclose(part.poses, made.poses, atol=1e-9)
-    np.testing.assert_allclose(part.pose_times, made.pose_times, atol=1e-9)
-    np.testing.assert_allclose(part.commands, made.commands, atol=1e-6)
-    np.testing.assert_allclose(part.command_times, made.command_times, atol=1e-9)
 
 
 def test_a_wide_table_becomes_commands_and_continuous_poses(tmp_path: Path) -> None:

@@ -7,37 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.logs import Drive, drive, located, wide_columns, write_pair, write_wide
+from support.logs import drive, located, problems_of, same_drive, wide_columns, write_pair, write_wide
 
 from kraft.errors import Code, InputError
 from kraft.logs.discover import Candidate, without_repeated
-from kraft.logs.log import Log
 from kraft.logs.pairing import pair_files
 from kraft.logs.reader import read_logs
 
 MADE = drive()
 WIDE = wide_columns(np.arange(0.025, 5.9, 0.025), MADE)
-
-
-def read_one(path: Path, **options: object) -> Log:
-    found = read_logs(path, **options)  # type: ignore[arg-type]
-    assert not found.problems
-    assert len(found.logs) == 1
-    return found.logs[0]
-
-
-def problems_of(path: Path) -> list[str]:
-    with pytest.raises(InputError) as error:
-        read_logs(path)
-    return located(error.value.diagnostics, path.parent)
-
-
-def same_drive(log: Log, made: Drive) -> None:
-    (part,) = log.parts
-    np.testing.assert_allclose(part.poses, made.poses, atol=1e-9)
-    np.testing.assert_allclose(part.pose_times, made.pose_times, atol=1e-9)
-    np.testing.assert_allclose(part.commands, made.commands, atol=1e-6)
-    np.testing.assert_allclose(part.command_times, made.command_times, atol=1e-9)
 
 
 def test_a_folder_without_logs_is_refused_with_what_it_holds(tmp_path: Path) -> None:

@@ -15,7 +15,9 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from kraft.errors import Diagnostic
+from kraft.errors import Diagnostic, InputError
+from kraft.logs.log import Log
+from kraft.logs.reader import read_logs
 
 ACKERMANN = (
     "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\nfloat32 acceleration\nfloat32 jerk\n"
@@ -197,3 +199,27 @@ def write_bag(
             send = bag.odometry if poses == "odometry" else bag.stamped_pose
             send("/odom" if poses == "odometry" else "/car/car_pose", nanoseconds(time), x, y, yaw, late)
     return path
+
+
+def read_one(path: Path, **options: object) -> Log:
+    """The only log at a path, which is read without problems."""
+    found = read_logs(path, **options)  # type: ignore[arg-type]
+    assert not found.problems
+    assert len(found.logs) == 1
+    return found.logs[0]
+
+
+def problems_of(path: Path) -> list[str]:
+    """What prevents reading the logs at a path, see `located`."""
+    with pytest.raises(InputError) as error:
+        read_logs(path)
+    return located(error.value.diagnostics, path.parent)
+
+
+def same_drive(log: Log, made: Drive) -> None:
+    """Check that a log is of a drive, to the digits that a CSV file has."""
+    (part,) = log.parts
+    np.testing.assert_allclose(part.poses, made.poses, atol=1e-9)
+    np.testing.assert_allclose(part.pose_times, made.pose_times, atol=1e-9)
+    np.testing.assert_allclose(part.commands, made.commands, atol=1e-6)
+    np.testing.assert_allclose(part.command_times, made.command_times, atol=1e-9)

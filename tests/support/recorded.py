@@ -6,6 +6,7 @@ import fcntl
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from kraft_cli.main import main
@@ -30,3 +31,15 @@ def recorded_logs(factory: pytest.TempPathFactory) -> Path:
             folder.parent.mkdir()
             unfinished.rename(folder)
     return folder
+
+
+def weaken(run: Path, factor: float) -> None:
+    """Scale the throttle of a log, as if it were of a car that drives faster with less of it."""
+    heading, *rows = (run / "commands.csv").read_text().splitlines()
+    commands = np.loadtxt(rows, delimiter=",") * [1.0, factor, 1.0]
+    np.savetxt(run / "commands.csv", commands, fmt="%.9g", delimiter=",", header=heading, comments="")
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    """Bytes of every file in a folder, by its path in it."""
+    return {str(p.relative_to(path)): p.read_bytes() for p in sorted(path.rglob("*")) if p.is_file()}
