@@ -258,7 +258,8 @@ TABLE_SIZE: Final = 65  # rows of a table of steady responses
 UPDATED_SIZE: Final = 33
 UPDATED_TIME: Final = 6.0
 """Size of the tables, and time until a response is taken as steady (s), when parameters change during a drive."""
-Tables = tuple[list[float], list[float], list[float], list[float], list[float]]
+Tables = tuple[list[float], list[float], list[float], list[float]]
+"""Throttles with their steady speeds (m/s), and steerings with the curvatures of their paths (1/m)."""
 _TABLES: Final[dict[tuple[str, bytes, bytes], Tables]] = {}
 _UPDATED: Final[dict[tuple[str, bytes, bytes], Tables]] = {}  # those of the parameters that were learned last
 
@@ -313,12 +314,12 @@ class CarModel(VehicleModel):
         super().set_parameters(values)
         known = _UPDATED.get(self._key)
         if known is not None:
-            self._throttles, self._speeds, self._steerings, self._curvatures, self._slips = known
+            self._throttles, self._speeds, self._steerings, self._curvatures = known
             return
         moves = self._update_speeds() and self._update_turns()
         _UPDATED.clear()
         if moves:  # else the tables depend on those before
-            _UPDATED[self._key] = self._throttles, self._speeds, self._steerings, self._curvatures, self._slips
+            _UPDATED[self._key] = self._throttles, self._speeds, self._steerings, self._curvatures
 
     def _update_speeds(self) -> bool:
         """Make the tables of the speed for the present parameters; whether the car moves at full throttle."""
@@ -330,7 +331,7 @@ class CarModel(VehicleModel):
         return True
 
     def _update_turns(self) -> bool:
-        """Make the tables of curvature and slip for the present parameters; whether the car moves at all steerings."""
+        """Make the table of the curvature for the present parameters; whether the car moves at all steerings."""
         steerings = np.linspace(self.low[self.steering], self.high[self.steering], UPDATED_SIZE)
         throttle = self.throttle_for(0.5 * self._speeds[-1])
         before = self._responses(self.steering, steerings, throttle)
@@ -338,10 +339,9 @@ class CarModel(VehicleModel):
             return False
         before[:, self.pose] = 0.0
         controls = np.array([self.command(throttle, steering) for steering in steerings.tolist()])
-        after = self.after(before, controls, MAX_STEP)[:, self.pose].tolist()
-        turns = [_turn(float(x[self.v]), *moved) for x, moved in zip(before, after, strict=True)]
-        curvatures, slips = zip(*turns, strict=True)
-        self._steerings, self._slips = list(map(float, steerings)), list(slips)
+        turned = self.after(before, controls, MAX_STEP)[:, self.theta].tolist()
+        curvatures = [_curvature(float(x[self.v]), turn) for x, turn in zip(before, turned, strict=True)]
+        self._steerings = list(map(float, steerings))
         self._curvatures = list(map(float, np.maximum.accumulate(curvatures)))
         return True
 
@@ -413,10 +413,6 @@ class CarModel(VehicleModel):
         """Steering whose path has a curvature (1/m), or the nearest possible one."""
         return _inverse(curvature, self._curvatures, self._steerings)
 
-    def slip(self, steering: float) -> float:
-        """Slip angle at a constant steering: direction of motion relative to the heading, rad."""
-        return interpolate(steering, self._steerings, self._slips)
-
     @property
     def wheelbase(self) -> float:
         """Change of steering per change of curvature at straight driving, m; for a bicycle model its wheelbase."""
@@ -429,7 +425,7 @@ class CarModel(VehicleModel):
         if key not in _TABLES:
             self._throttles, self._speeds = self._steady_speeds()
             _TABLES[key] = self._throttles, self._speeds, *self._steady_turns()
-        self._throttles, self._speeds, self._steerings, self._curvatures, self._slips = _TABLES[key]
+        self._throttles, self._speeds, self._steerings, self._curvatures = _TABLES[key]
 
     def _steady_speeds(self) -> tuple[list[float], list[float]]:
         throttles = np.linspace(self.low[self.throttle], self.high[self.throttle], TABLE_SIZE)
@@ -440,25 +436,24 @@ class CarModel(VehicleModel):
             )
         return list(map(float, throttles)), list(map(float, np.maximum.accumulate(speeds)))
 
-    def _steady_turns(self) -> tuple[list[float], list[float], list[float]]:
+    def _steady_turns(self) -> tuple[list[float], list[float]]:
         steerings = np.linspace(self.low[self.steering], self.high[self.steering], TABLE_SIZE)
         throttle = self.throttle_for(0.5 * self._speeds[-1])
-        curvatures, slips = [], []
+        curvatures = []
         for steering in steerings:
             control = self.command(throttle, float(steering))
             before = self._steady_state(control)
             if before[self.v] == 0.0:  # curvatures of 0 would make a table that cannot steer
                 problem = f"does not move at throttle {throttle:.3g} and steering {steering:.3g}"
                 raise InputError.of(self.vehicle.name, problem, "expected a speed above 0", Code.MISMATCH)
-            curvature, slip = _turn(float(before[self.v]), *self.advance(before, control, MAX_STEP)[self.pose].tolist())
-            curvatures.append(curvature)
-            slips.append(slip)
+            turn = float(self.advance(before, control, MAX_STEP)[self.theta])
+            curvatures.append(_curvature(float(before[self.v]), turn))
         if not curvatures[-1] > curvatures[0]:  # the laws for cars would steer away from the path
             ends = " and ".join(f"{curvatures[k]:.3g}/m at steering {steerings[k]:.3g}" for k in (0, -1))
             problem = f"does not turn further to the left with larger steering: its curvature is {ends}"
             expected = "expected steering that is positive to the left: negate it in the derivative"
             raise InputError.of(self.vehicle.name, problem, expected, Code.MISMATCH)
-        return list(map(float, steerings)), list(map(float, np.maximum.accumulate(curvatures))), slips
+        return list(map(float, steerings)), list(map(float, np.maximum.accumulate(curvatures)))
 
     def _steady_state(self, control: Floats) -> Floats:
         """Steady state after holding a control from standstill, moved to the origin."""
@@ -467,9 +462,9 @@ class CarModel(VehicleModel):
         return state
 
 
-def _turn(speed: float, dx: float, dy: float, turn: float) -> tuple[float, float]:
-    """Curvature (1/m) and slip angle (rad) of a step of `MAX_STEP` s at a speed (m/s) from the origin."""
-    return turn / (MAX_STEP * speed), math.remainder(math.atan2(dy, dx) - 0.5 * turn, math.tau)
+def _curvature(speed: float, turn: float) -> float:
+    """Curvature (1/m) of a step of `MAX_STEP` s at a speed (m/s) in which the heading turns by `turn` rad."""
+    return turn / (MAX_STEP * speed)
 
 
 def _inverse(value: float, values: list[float], arguments: list[float]) -> float:

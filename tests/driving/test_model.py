@@ -61,12 +61,11 @@ def test_throttle_for_is_the_inverse_of_the_steady_speed() -> None:
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.05])
-def test_curvature_slip_and_steering_are_the_bicycles(offset: float) -> None:
+def test_curvature_and_steering_are_those_of_a_bicycle(offset: float) -> None:
     model = CarModel(PROMPT.with_parameters({"phi_diff": offset}))
     for steering in (-0.3, 0.0, 0.2):
         beta = math.atan(0.5 * math.tan(steering + offset))
         assert model.curvature(steering) == pytest.approx(2 * math.sin(beta) / 0.2965, abs=1e-3)
-        assert model.slip(steering) == pytest.approx(beta, abs=1e-3)
         assert model.steering_for(model.curvature(steering)) == pytest.approx(steering, abs=1e-9)
     assert model.wheelbase == pytest.approx(0.2965, rel=0.01)
     assert (model.steering_for(50.0), model.steering_for(-50.0)) == (0.38, -0.38)
@@ -118,7 +117,6 @@ def test_changed_parameters_give_the_tables_of_a_new_model(changes: dict[str, fl
     assert (model.curvature(0.3), model.throttle_for(0.4)) != pytest.approx(before, rel=0.02)
     for steering in np.linspace(-0.38, 0.38, 21):
         assert model.curvature(steering) == pytest.approx(fresh.curvature(steering), abs=0.01 * fresh.curvature(0.38))
-        assert model.slip(steering) == pytest.approx(fresh.slip(steering), abs=0.01 * fresh.slip(0.38))
     for speed in np.linspace(0.05, 0.7, 21):
         assert model.throttle_for(speed) == pytest.approx(fresh.throttle_for(speed), abs=0.01)
     assert model.wheelbase == pytest.approx(fresh.wheelbase, rel=0.01)
