@@ -4,7 +4,7 @@ The graph of a log is a chain: step i connects the states x_i and x_(i+1) with r
 Its normal equations are block tridiagonal with a border for rho.  Eliminating the control of a step adds its noise to
 that of the dynamics; eliminating the states from first to last leaves one Gaussian factor on rho per log.  GTSAM does
 the same with the ordering "controls, states, rho"; here it is done in compiled loops over preallocated arrays.  All
-kernels are in one file because numba detects stale machine code by the time stamp of the file.
+kernels are in this file, because the name of the folder of their machine code is a hash of it.
 """
 
 from __future__ import annotations
