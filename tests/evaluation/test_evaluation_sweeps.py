@@ -108,7 +108,7 @@ def test_shares_and_times_of_a_sweep_are_those_of_the_summary(monkeypatch: pytes
     found = swept(monkeypatch, {"sensing.noise_scale": [0, 2, 4]}, trials=6)
     results = read_results(Path("out"))
     (sweep,) = sweeps(results)
-    assert (sweep.axis.key, sweep.axis.places, sweep.axis.numeric) == ("sensing.noise_scale", (0.0, 2.0, 4.0), True)
+    assert (sweep.axis.key, sweep.axis.places) == ("sensing.noise_scale", (0.0, 2.0, 4.0))
     points = {
         (p.result.entry, p.result.method): p for panel in sweep.panels.values() for line in panel.values() for p in line
     }
@@ -144,7 +144,7 @@ def test_values_that_are_not_numbers_stand_in_their_order(monkeypatch: pytest.Mo
     swept(monkeypatch, {"sensing.preset": ["single-tag", "planar"]}, trials=1)
     (sweep,) = sweeps(read_results(Path("out")))
     assert (sweep.axis.places, sweep.axis.texts) == ((0.0, 1.0), ("single-tag", "planar"))
-    assert not sweep.axis.numeric
+    assert sweep.axis.places == tuple(range(len(sweep.axis.places)))
 
 
 def test_without_varied_keys_there_is_no_sweep() -> None:

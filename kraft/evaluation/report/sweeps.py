@@ -62,14 +62,12 @@ class Axis:
         label: name of the quantity and its unit.
         places: position of each value; the value itself, or its number if not all values are numbers.
         texts: text of each value.
-        numeric: whether all values are numbers.
     """
 
     key: str
     label: str
     places: tuple[float, ...]
     texts: tuple[str, ...]
-    numeric: bool
 
 
 @dataclass(frozen=True)
@@ -116,7 +114,7 @@ def axis_of(key: str, values: Sequence[Any]) -> Axis:
     """Axis of a key with its values."""
     numeric = all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values)
     places = tuple(float(value) if numeric else float(k) for k, value in enumerate(values))
-    return Axis(key, label_of(key), places, tuple(value_text(value) for value in values), numeric)
+    return Axis(key, label_of(key), places, tuple(value_text(value) for value in values))
 
 
 def label_of(key: str, value: Any = None) -> str:
