@@ -28,7 +28,8 @@ from kraft.evaluation.report.entry import (
     trials_data,
     trials_section,
 )
-from kraft.evaluation.report.methods import Shown, measures_table, methods
+from kraft.evaluation.report.measures import Shown, measures_table
+from kraft.evaluation.report.methods import methods
 from kraft.evaluation.report.overview import causes, chip, overview, settings_of
 from kraft.evaluation.report.results import VERSIONS, Results
 from kraft.evaluation.report.sweeps import DESK, PHONE, TABLET, sweep_pictures, sweeps
