@@ -10,16 +10,15 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, TypeAlias
 
 from kraft.errors import Code, InputError, Problems
-from kraft.evaluation.journal import Key, TrialRow
+from kraft.evaluation.journal import OUTCOMES, Key, TrialRow
 from kraft.evaluation.manifest import Difference, manifest_differences
 from kraft.evaluation.report.results import RecordedTrials, read_trials
 from kraft.evaluation.statistics import mcnemar, mean_difference_interval, sign_flip_p
 from kraft.provenance import MISSING
 
-OUTCOMES: Final = ("success", "collision", "timeout", "failed")
 Pair: TypeAlias = tuple[TrialRow, TrialRow]
 
 

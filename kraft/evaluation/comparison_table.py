@@ -6,7 +6,8 @@ import json
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
-from kraft.evaluation.comparison import OUTCOMES, Comparison, PairedRow
+from kraft.evaluation.comparison import Comparison, PairedRow
+from kraft.evaluation.journal import OUTCOMES
 from kraft.evaluation.manifest import Difference
 from kraft.evaluation.table import Table
 from kraft.provenance import MISSING

@@ -26,6 +26,8 @@ from kraft.trial.result import TrialResult
 
 Key: TypeAlias = tuple[str, str, int]
 """Entry, method and seed; the entry of a plain scenario has the scenario's name."""
+OUTCOMES: Final = ("success", "collision", "timeout", "failed")
+"""Outcomes of a row, in the order of their numbers in `benchmark.log`; the last one is that of a defect."""
 
 
 class Measured(Record):

@@ -14,13 +14,12 @@ from typing import Any, Final
 
 from kraft.errors import Code, InputError
 from kraft.evaluation.experiment import Cell, Experiment
-from kraft.evaluation.journal import Key, TrialRow
+from kraft.evaluation.journal import OUTCOMES, Key, TrialRow
 from kraft.evaluation.statistics import percentile
 from kraft.files import EXPECTED, Replacement, write_whole
 from kraft.text import slugs
 
 DATABASE: Final = "benchmark.db"
-OUTCOMES: Final = ("success", "collision", "timeout", "failed")
 PROPERTIES: Final = (
     "time REAL",
     "solved BOOLEAN",

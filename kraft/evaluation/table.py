@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from kraft.evaluation.journal import OUTCOMES
 from kraft.evaluation.statistics import wilson
 from kraft.evaluation.summary import Result, Summary
 from kraft.text import decimals, percent
@@ -121,10 +122,7 @@ def totals(summary: Summary) -> Table | None:
 
 def _total(results: Sequence[Result]) -> dict[str, str]:
     """Cells of a method over several entries."""
-    sums = {
-        name: sum(getattr(result, name) for result in results)
-        for name in ("success", "collision", "timeout", "failed", "contingencies", "trials")
-    }
+    sums = {name: sum(getattr(result, name) for result in results) for name in (*OUTCOMES, "contingencies", "trials")}
     times = [result.t_ex * result.success for result in results if result.t_ex is not None]
     return {
         "method": results[0].title,
