@@ -16,7 +16,8 @@ from support.paths import ROOT
 from kraft.errors import Code, InputError, Unreachable
 from kraft.evaluation.suite import load_suite
 from kraft.scenario import Box, Circle, Polygon, Task, load_scenario
-from kraft.worlds.imports import OTHERS, Request, import_worlds
+from kraft.worlds.dynobench import OTHERS
+from kraft.worlds.imports import Request, import_worlds
 from kraft_cli.main import main
 from ompl_ext.vehicle import Vehicle
 
