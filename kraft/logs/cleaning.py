@@ -33,11 +33,12 @@ from kraft.logs.held_commands import (
 )
 from kraft.logs.log import Array, Finding, Findings, Part
 from kraft.logs.mapping import Limits, Mapping
-from kraft.logs.motion import AVERAGING_TIME, OUTLIER, check_units, extent, leading_zeros, stale, top_speed, tracks
+from kraft.logs.motion import AVERAGING_TIME, OUTLIER, extent, leading_zeros, stale, top_speed, tracks
 from kraft.logs.parts import make_part, pose_gap, segments
 from kraft.logs.samples import Samples, read_samples
 from kraft.logs.streams import Choice
 from kraft.logs.table import Rows
+from kraft.logs.units import check_units
 from kraft.text import counted
 
 TURN_MIN: Final = 0.2

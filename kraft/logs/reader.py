@@ -20,10 +20,10 @@ from kraft.logs.guess import choose, unknown_controls
 from kraft.logs.log import Log, LogSet, Source
 from kraft.logs.mapping import Column, Control, Mapping
 from kraft.logs.matching import written_at
-from kraft.logs.motion import DegreesError, SwappedError, assumed_radians
 from kraft.logs.names import SYNONYMS, control_score
 from kraft.logs.streams import Choice, in_any_unit, on_one_clock, with_reach
 from kraft.logs.table import Table, read_csv
+from kraft.logs.units import DegreesError, SwappedError, assumed_radians
 from kraft.text import suggestion
 from kraft.vehicles import CAR_CONTROLS
 
