@@ -16,7 +16,8 @@ from support.diagnostics import raised
 from support.replanner import mushr, start, turns
 
 from kraft.driving.control import make_controller
-from kraft.driving.control.nmpc import NmpcController, symbolic_derivative_of
+from kraft.driving.control.nmpc import NmpcController
+from kraft.driving.control.nmpc_problem import symbolic_derivative_of
 from kraft.driving.control_settings import Kinodynamic, Nmpc
 from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import Estimate, Reference, ReferenceKind

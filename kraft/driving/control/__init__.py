@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from kraft.driving.control.lqr import LqrController, check_controllable
-from kraft.driving.control.nmpc import NmpcController, casadi_of
+from kraft.driving.control.nmpc import NmpcController
+from kraft.driving.control.nmpc_problem import casadi_of
 from kraft.driving.control.path_tracking import GeometricController, KinodynamicController
 from kraft.driving.control.sampling import DwaController, MppiController
 from kraft.driving.control_settings import (  # fmt: skip
