@@ -200,7 +200,7 @@ class PredictedMotion:
     """Predicted states (n + 1, nx) at `times` (n + 1,) s.
 
     `slack` is a lower bound of the clearance minus the required clearance (m), negative if the motion may violate it.
-    `delta` (n + 1,) is the clearance delta(v) that the method asks of each state (m); None if it asks for none.
+    `delta` (n + 1,) is the clearance, delta(v) or delta(t, v), that the method asks of each state (m), if it asks any.
     `controls` (n, nu) are those between the states, if they are known.
     """
 

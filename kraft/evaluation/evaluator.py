@@ -13,7 +13,7 @@ from kraft.config.document import frozen
 from kraft.driving.control import kernel_modules, needs_steps
 from kraft.errors import Code, Diagnostic, Problems, Unreachable, out_of_range
 from kraft.evaluation.cluster import Cluster
-from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, WARNINGS, Experiment, MethodLike, experiment_of
+from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, Experiment, MethodLike, experiment_of
 from kraft.evaluation.folder import NEW, Folder, check_exists, check_resumable, create, reopen, write_results
 from kraft.evaluation.job import Executor
 from kraft.evaluation.journal import Key, TrialRow
@@ -25,6 +25,7 @@ from kraft.files import check_new_folder
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_reachable
 from kraft.text import MessageSink, counted, no_messages
+from kraft.trial.warnings import WARNINGS
 from ompl_ext.cores import usable_cores
 
 
@@ -175,7 +176,8 @@ def check_arguments(
 def _warn(experiment: Experiment, log: MessageSink) -> None:
     """Log each warning with the first entry that it concerns, and how many others there are."""
     for warning in WARNINGS:
-        found = {cell.entry.name: text for cell in experiment.cells if (text := warning(cell))}
+        texts = ((cell.entry.name, warning(cell.scenario, cell.method, cell.vehicle)) for cell in experiment.cells)
+        found = {name: text for name, text in texts if text}
         if not found:
             continue
         name, text = next(iter(found.items()))

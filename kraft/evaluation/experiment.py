@@ -5,7 +5,7 @@ All problems of the names are reported at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -21,15 +21,12 @@ from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_placement, needs_motions
 from kraft.planning.workspace import start_state
 from kraft.scenario import Scenario
-from kraft.scenario.unmapped import unstated_outside
 from kraft.text import MessageSink, no_messages
 from kraft.trial.planning_vehicle import (
     check_robot,
     load_planning_vehicle,
-    other_robot,
     vehicle_reference,
 )
-from kraft.trial.warnings import early_watchdog, far_camera, uncorrected_slope, unguided_goal
 from kraft.vehicles.load import load_vehicle, resolved_reference
 from kraft.vehicles.reference import reference_of
 from ompl_ext.vehicle import Vehicle
@@ -73,17 +70,6 @@ class Cell:
     def key(self) -> tuple[str, str]:
         """Names of entry and method."""
         return self.entry.name, self.method.name
-
-
-WARNINGS: Final[tuple[Callable[[Cell], str], ...]] = (
-    lambda cell: unstated_outside(cell.scenario),
-    lambda cell: far_camera(cell.scenario),
-    lambda cell: unguided_goal(cell.scenario, cell.method),
-    lambda cell: early_watchdog(cell.method),
-    lambda cell: other_robot(cell.scenario, cell.vehicle),
-    lambda cell: uncorrected_slope(cell.scenario, cell.method, cell.vehicle),
-)
-"""What may be wrong with a row though it can be driven; each is empty where it is not."""
 
 
 @dataclass(frozen=True)

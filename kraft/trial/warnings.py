@@ -1,16 +1,19 @@
 """Warnings of trials that can be driven, though something in them is probably a mistake.
 
-Each function returns an empty text where there is nothing to say.  See `kraft.trial.planning_vehicle.other_robot` too.
+Each function returns an empty text where there is nothing to say.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Final
 
 from kraft.driving.method import Adaptive, Method
 from kraft.scenario import Scenario, Task
 from kraft.scenario.schema import MARKER_HEIGHT
+from kraft.scenario.unmapped import unstated_outside
+from kraft.trial.planning_vehicle import other_robot
 from ompl_ext.vehicle import Vehicle
 
 FARTHEST_MEASURED: Final = 7.6
@@ -87,3 +90,19 @@ def uncorrected_slope(scenario: Scenario, method: Method, vehicle: Vehicle) -> s
         f"the floor leans, and {vehicle.name} states no gravity_share: neither the slope nor the errors of the poses "
         "that come from it are estimated"
     )
+
+
+WARNINGS: Final[tuple[Callable[[Scenario, Method, Vehicle], str], ...]] = (
+    lambda scenario, _method, _vehicle: unstated_outside(scenario),
+    lambda scenario, _method, _vehicle: far_camera(scenario),
+    lambda scenario, method, _vehicle: unguided_goal(scenario, method),
+    lambda _scenario, method, _vehicle: early_watchdog(method),
+    lambda scenario, _method, vehicle: other_robot(scenario, vehicle),
+    uncorrected_slope,
+)
+"""What may be wrong with trials of a method that plans with a vehicle; each is empty where it is not."""
+
+
+def warnings_of(scenario: Scenario, method: Method, vehicle: Vehicle) -> tuple[str, ...]:
+    """All that there is to say of trials of a method that plans with a vehicle."""
+    return tuple(text for warning in WARNINGS if (text := warning(scenario, method, vehicle)))

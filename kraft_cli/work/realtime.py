@@ -19,11 +19,9 @@ from kraft.gl import check_video_file
 from kraft.robot.priority import leave_signals_to_planner, process_context
 from kraft.robot.robot_file import JOINT_STATE, CommandOutput, Loopback, Robot, load_robot
 from kraft.robot.world import RobotWorld, WorldResult
-from kraft.scenario.unmapped import unstated_outside
 from kraft.text import MessageSink, finite, metres, no_messages
-from kraft.trial.planning_vehicle import other_robot
 from kraft.trial.result import Outcome, outcome_text
-from kraft.trial.warnings import far_camera, unguided_goal
+from kraft.trial.warnings import warnings_of
 from kraft.vehicles import is_car
 from kraft_cli.work.drive import DriveFiles, Driven, DriveRequest, drive_json, drive_robot, drive_table, load_files
 from kraft_cli.work.run import RunRequest
@@ -108,17 +106,10 @@ def _load(request: RunRequest, asked: DriveRequest) -> DriveFiles:
 def _for_vehicle(robot: Robot, files: DriveFiles, report: MessageSink) -> Robot:
     """The robot with commands for the vehicle that drives: of a car, or joints with the controls of another one.
 
-    `report` receives warnings: of poses worse than measured, of a goal that nothing guides to, of another true robot.
+    `report` receives warnings.
     """
-    scenario = files.scenario
-    for text in (
-        unstated_outside(scenario),
-        far_camera(scenario),
-        unguided_goal(scenario, files.method),
-        other_robot(scenario, files.vehicle),
-    ):
-        if text:
-            report(f"warning: {text}")
+    for text in warnings_of(files.scenario, files.method, files.vehicle):
+        report(f"warning: {text}")
     if is_car(files.vehicle):
         return robot
     own = robot.command

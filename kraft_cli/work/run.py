@@ -15,7 +15,7 @@ from kraft.config.overrides import parse_overrides, value_text
 from kraft.driving.control import kernel_modules, needs_steps, settings_for
 from kraft.driving.messages import Cycle
 from kraft.errors import InputError, Problems
-from kraft.evaluation.experiment import WARNINGS, Cell, Experiment, experiment_of
+from kraft.evaluation.experiment import Cell, Experiment, experiment_of
 from kraft.evaluation.statistics import percentile, while_driving
 from kraft.evaluation.summary import measures_json
 from kraft.files import check_new_folder
@@ -26,6 +26,7 @@ from kraft.scenario import Scenario
 from kraft.text import MessageSink, counted, finite, metres, no_messages
 from kraft.trial.measures import BAND, Measures
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
+from kraft.trial.warnings import warnings_of
 from kraft_cli.work.run_folder import write_run
 from kraft_cli.work.trial_outputs import NO_OUTPUT, OutputOptions, TrialOutputs
 from kraft_cli.work.verbose import StageTimer, vehicle_details
@@ -91,8 +92,8 @@ def run_scenario(
     check_reachable(cell.scenario.task(), cell.vehicle)
     from kraft.trial.trial import run_trial  # loads the simulator
 
-    found = (*(warning(cell) for warning in WARNINGS), faster_than_stated(cell.vehicle))
-    warnings = tuple(text for text in found if text)
+    found = (*warnings_of(cell.scenario, cell.method, cell.vehicle), faster_than_stated(cell.vehicle))
+    warnings = tuple(filter(None, found))
     for text in warnings:
         report(f"warning: {text}")
     timer.report("kernels, maps and simulator loaded")

@@ -6,8 +6,8 @@ import pytest
 
 from kraft.config import bundled
 from kraft.driving.method import load_method
-from kraft.evaluation.experiment import WARNINGS, experiment_of
-from kraft.trial.warnings import early_watchdog
+from kraft.evaluation.experiment import experiment_of
+from kraft.trial.warnings import early_watchdog, warnings_of
 
 
 @pytest.mark.parametrize(("watchdog", "early"), [(0.1, True), (0.5, True), (0.6, False), (None, False)])
@@ -25,4 +25,4 @@ def test_no_bundled_method_has_an_early_watchdog(name: str) -> None:
 def test_a_trial_and_an_evaluation_warn_of_an_early_watchdog(tmp_path: Path) -> None:
     (tmp_path / "m.yaml").write_text("base: adaptive-kraft\nname: m\ntitle: M\nplanner: {watchdog: 0.1}\n")
     (cell,) = experiment_of(["turns"], [tmp_path / "m.yaml"]).cells
-    assert [text for warning in WARNINGS if (text := warning(cell))] == [early_watchdog(cell.method)]
+    assert warnings_of(cell.scenario, cell.method, cell.vehicle) == (early_watchdog(cell.method),)
