@@ -305,6 +305,11 @@ def cycles_on_board(cycles: Sequence[Cycle]) -> Iterator[Cycle]:
         yield cycle if arrived.stopping is None else arrived
 
 
+def begun_cycles(cycles: Sequence[Cycle], end: float) -> tuple[Cycle, ...]:
+    """Cycles that began by the end of the drive (s): the replanner decides ahead, and the last may not have begun."""
+    return tuple(cycle for cycle in cycles if cycle.time <= end + 1e-9)
+
+
 def as_driven(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
     """Cycles as the car drives them: after a lost message the contingency on board, if there is one."""
     pairs = zip(cycles, cycles_on_board(cycles), strict=True)

@@ -11,9 +11,9 @@ integers.  Poses are (x, y, theta) in m and rad, times are in s of the trial.
 - `every`, `clearance`: true distance to the nearest obstacle at every n-th tick (m).
 - `seen`: time of each observation, and observed minus true pose.
 - `watchdog`: ticks at which the watchdog stopped the car.  `boxes`: pose of each movable box at each tick.
-- `cycles`: a list; the polylines `plan` and `contingency` have x and y at their beginning, at multiples of `GRID`, and
-  at their end, `predicted` has poses and delta(v) within the cycle, `blocked` the corners of what has blocked the
-  vehicle.  `sent` is false if the message was lost.
+- `cycles`: a list of those that began; the polylines `plan` and `contingency` have x and y at their beginning, at
+  multiples of `GRID`, and at their end, `predicted` has poses and delta(v) within the cycle, `blocked` the corners of
+  what has blocked the vehicle.  `sent` is false if the message was lost.
 
 Trees are a second text of the same kind: for each cycle points of whole branches, as x and y relative to the point
 before, and the number of that point.
@@ -80,7 +80,7 @@ def replay_of(spec: TrialSpec, result: TrialResult) -> Replay | None:
     """Replay of a trial; None if it was over before the first tick."""
     if not result.steps:
         return None
-    trees = [_tree(cycle.tree, spec.vehicle) for cycle in result.cycles]
+    trees = [_tree(cycle.tree, spec.vehicle) for cycle in result.begun]
     return Replay(packed(_drive(spec, result)), packed(trees) if any(trees) else None)
 
 
@@ -119,7 +119,7 @@ def _drive(spec: TrialSpec, result: TrialResult) -> dict[str, Any]:
         "every": EVERY,
         "clearance": _clearances(spec, true[::EVERY]),
         "seen": [series(seen, 0.001, 2), *_errors(seen, observed, ticks, true, NOISE)],
-        "cycles": [_cycle(cycle, vehicle) for cycle in as_driven(result.cycles)],
+        "cycles": [_cycle(cycle, vehicle) for cycle in as_driven(result.begun)],
     }
     if stopped := [k for k, step in enumerate(steps) if step.watchdog]:
         drive["watchdog"] = series(np.array(stopped), 1)

@@ -65,7 +65,7 @@ MEANINGS: Final = {
     "paper S/C/T": "successes, collisions, timeouts in the paper",
     "paper T_ex": "mean time in the paper",
     "p": "exact McNemar test against kraft on the same seeds",
-    "cont": "cycles that committed a contingency",
+    "cont": "cycles that began with a contingency",
     "delta": "ticks at which the true car was as near to its prediction as the method claimed",
     "emerg": "contingencies that nothing verified",
     "regr": "plans that cost over 0.5 s more than what was left of the last one",

@@ -84,7 +84,7 @@ def plot_run(
         InputError: if the suffix is none of these or the file cannot be written.
     """
     picture_format(path)  # before the work, not after it
-    drive = DrivenTrajectory.of(replace(result, cycles=as_driven(result.cycles)), task.start)
+    drive = DrivenTrajectory.of(replace(result, cycles=as_driven(result.begun)), task.start)
     notes = key_numbers(result, unknown)
     with plot_style():
         write_picture(path, _compose(drive, task, vehicle, title or f"{task.name} · {result.method}", notes, hidden))

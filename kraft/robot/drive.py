@@ -72,18 +72,19 @@ ABANDON_TIME: Final = 3.0
 class Decisions:
     """What is counted of the cycles of a drive: a drive may be long, and the cycles themselves are on the disk.
 
-    `planning_ms` has a value for each cycle, `contingencies` is how many kept one, `last` is the time of the
-    last cycle, s.
+    `planning_ms` has a value for each cycle, `contingencies` the times at which those begin that keep one, s; `last` is
+    the time of the last cycle, s.
     """
 
     planning_ms: list[float] = field(default_factory=list)
-    contingencies: int = 0
+    contingencies: list[float] = field(default_factory=list)
     last: float = 0.0
 
     def add(self, cycle: Cycle) -> None:
         """Count a cycle."""
         self.planning_ms.append(cycle.planning_ms)
-        self.contingencies += cycle.kind is ReferenceKind.CONTINGENCY
+        if cycle.kind is ReferenceKind.CONTINGENCY:
+            self.contingencies.append(cycle.time)
         self.last = cycle.time
 
 

@@ -12,7 +12,15 @@ from typing import Final, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from kraft.driving.messages import ContingencyOrigin, Cycle, PredictedMotion, ReferenceKind, as_driven, cycles_on_board
+from kraft.driving.messages import (
+    ContingencyOrigin,
+    Cycle,
+    PredictedMotion,
+    ReferenceKind,
+    as_driven,
+    begun_cycles,
+    cycles_on_board,
+)
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.vehicle import Footprint
@@ -182,6 +190,7 @@ def measure(
     messages_lost: int = 0,
     errors_squared: Sequence[float] = (),
     watchdog_stops: int = 0,
+    end: float = math.inf,
 ) -> Measures:
     """Measures of a trial.
 
@@ -197,6 +206,7 @@ def measure(
         messages_lost: number of lost messages.
         errors_squared: normalised squared error of each pose for which the estimator stated a covariance.
         watchdog_stops: number of times that the car's watchdog stopped it.
+        end: time of the end of the trial, s; contingencies of cycles that begin later are not counted.
     """
     plans, contingencies = Kept(), Kept()
     deviations: list[list[int]] = []
@@ -216,7 +226,7 @@ def measure(
                 plans = pooled_clearance((plans, kept))
             else:
                 contingencies = pooled_clearance((contingencies, kept))
-    origins = Counter(cycle.contingency_origin for cycle in cycles)
+    origins = Counter(cycle.contingency_origin for cycle in begun_cycles(cycles, end))
     compared, regressions = _regressions(cycles)
     return Measures(
         plans=plans,

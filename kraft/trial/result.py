@@ -8,7 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from kraft.driving.messages import Cycle, Observation, Reference, ReferenceKind
+from kraft.driving.messages import Cycle, Observation, Reference, ReferenceKind, begun_cycles
 from kraft.driving.method import Method, load_method
 from kraft.planning.feasibility import check_placement
 from kraft.planning.search import check_seed
@@ -116,9 +116,14 @@ class TrialResult:
     late_commands: int = 0
 
     @property
+    def begun(self) -> tuple[Cycle, ...]:
+        """Cycles that began before the trial ended; the last of the `cycles` may have been decided for later."""
+        return begun_cycles(self.cycles, self.time)
+
+    @property
     def contingencies(self) -> int:
-        """Number of cycles that committed the contingency instead of a plan."""
-        return sum(cycle.kind is ReferenceKind.CONTINGENCY for cycle in self.cycles)
+        """Number of cycles that began with the contingency instead of a plan."""
+        return sum(cycle.kind is ReferenceKind.CONTINGENCY for cycle in self.begun)
 
     @property
     def missed(self) -> int:

@@ -215,7 +215,7 @@ class _Trial:
         model = self._model
         return measure(
             log.cycles, log.steps, model.vehicle.footprint, model.pose,
-            self._radio.lost, normalised_squares(self._errors), self._on_board.stops,
+            self._radio.lost, normalised_squares(self._errors), self._on_board.stops, self.world.time,
         )  # fmt: skip
 
     def cause(self, log: _Log, outcome: Outcome) -> Cause | None:

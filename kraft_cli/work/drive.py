@@ -303,7 +303,7 @@ def drive_json(driven: Driven) -> dict[str, Any]:
         "reason": "" if ended is None else ended.reason,
         "t_s": 0.0 if ended is None else float(ended.time),
         "cycles": len(decisions.planning_ms),
-        "contingencies": decisions.contingencies,
+        "contingencies": sum(ended is not None and begin <= ended.time for begin in decisions.contingencies),
         "watchdog_stops": 0 if ended is None else ended.stops,
         "refused_poses": {} if ended is None else ended.refused,
         "controller": {} if ended is None else {k: None if math.isnan(v) else v for k, v in ended.measures.items()},

@@ -211,7 +211,7 @@ def run_table(run: Run) -> list[tuple[str, str]]:
 
 
 def cycles_text(result: TrialResult) -> str:
-    """Number of cycles and of contingencies, and how many of them the trial ended before: they were not driven."""
+    """Number of cycles, of those that began with a contingency, and of those that the trial ended before."""
     text = f"{len(result.cycles)}, {result.contingencies} of them with the contingency"
     ahead = sum(cycle.time > result.time for cycle in result.cycles)
     return text + (f"; {ahead} decided, but not begun before the end" if ahead else "")

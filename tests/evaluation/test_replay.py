@@ -54,6 +54,14 @@ def test_a_replay_has_every_tick_and_cycle_of_its_trial() -> None:
     assert replay_of(spec, replace(result, steps=())) is None
 
 
+def test_a_replay_has_no_cycle_that_the_trial_ended_before() -> None:
+    spec = TrialSpec.load("turns", "kraft")
+    cycles = tuple(fake_trials.cycle(k, kind) for k, kind in enumerate(("plan", "plan", "contingency")))
+    replay = replay_of(spec, replace(fake_trials.quick(spec), cycles=cycles, time=1.9))
+    assert replay is not None
+    assert [cycle["t"] for cycle in unpacked(replay.drive)["cycles"]] == [0.0, 1.0]
+
+
 def test_a_replay_has_what_blocked_the_vehicle_in_the_cycles_that_know_it() -> None:
     spec = TrialSpec.load("turns", "kraft", seed=0)
     result = fake_trials.quick(spec)

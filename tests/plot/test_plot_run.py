@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from kraft.driving.messages import ReferenceKind
 from kraft.driving.method import load_method
 from kraft.errors import InputError
 from kraft.plot.page import Frame
@@ -61,6 +62,18 @@ def test_the_same_drive_gives_the_same_bytes(driven: TrialResult, tmp_path: Path
     for path, result in zip(paths, (driven, slower), strict=True):
         plot_run(path, MOVABLE.task(), MUSHR, result, hidden=hidden_features(MOVABLE))
     assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_a_contingency_that_the_trial_ended_before_is_not_drawn(driven: TrialResult, tmp_path: Path) -> None:
+    last, pictures = driven.cycles[-1], []
+    for kind in ReferenceKind:
+        later = dataclasses.replace(
+            last, time=driven.time + 0.1, reference=dataclasses.replace(last.reference, kind=kind)
+        )
+        path = tmp_path / f"{kind}.svg"
+        plot_run(path, MOVABLE.task(), MUSHR, dataclasses.replace(driven, cycles=(*driven.cycles, later)))
+        pictures.append(path.read_bytes())
+    assert pictures[0] == pictures[1]
 
 
 @pytest.mark.parametrize("outcome", list(Outcome))

@@ -96,6 +96,12 @@ def test_contingencies_are_counted_by_origin() -> None:
     assert (found.emergencies, found.in_hand) == (1, 1)
 
 
+def test_a_contingency_that_the_trial_ends_before_is_not_counted() -> None:
+    cycles = [replace(straight(k), contingency_origin=ContingencyOrigin.EMERGENCY) for k in range(3)]
+    counts = [measure(cycles, drive(1.9), FOOTPRINT, POSE, end=end).emergencies for end in (1.9, 2.0)]
+    assert counts == [2, 3]
+
+
 def test_the_band_holds_95_percent_of_a_consistent_estimators_errors() -> None:
     from scipy.stats import chi2
 

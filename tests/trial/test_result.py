@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
+from support import fake_trials
 
 from kraft.errors import Code, InputError
 from kraft.trial.result import Outcome, TrialSpec, outcome_text
@@ -29,3 +32,12 @@ def test_a_trial_that_cannot_begin_is_refused_when_it_is_loaded() -> None:
     with pytest.raises(InputError) as seed:
         TrialSpec.load("turns", seed=-1)
     assert [each.code for each in seed.value.diagnostics] == [Code.VALUE]
+
+
+def test_a_contingency_that_the_trial_ends_before_is_decided_but_not_counted() -> None:
+    cycles = tuple(fake_trials.cycle(k, kind) for k, kind in enumerate(("plan", "contingency", "contingency")))
+    result = replace(fake_trials.quick(TrialSpec.load("turns")), cycles=cycles)
+    for end, begun, contingencies in ((1.9, 2, 1), (2.0, 3, 2)):
+        ended = replace(result, time=end)
+        assert (len(ended.begun), ended.contingencies) == (begun, contingencies)
+        assert len(ended.cycles) == 3
