@@ -22,7 +22,7 @@ from kraft.evaluation.report import CommandLine
 from kraft.evaluation.suite import ScenarioLike, Settings, Sweeps, entries_of
 from kraft.evaluation.summary import Summary, summarise
 from kraft.files import check_new_folder
-from kraft.planning.compilation import ensure_compiled
+from kraft.planning.compilation import Needs, ensure_all_compiled
 from kraft.planning.feasibility import check_reachable
 from kraft.text import MessageSink, counted, no_messages
 from kraft.trial.warnings import WARNINGS
@@ -188,6 +188,7 @@ def _warn(experiment: Experiment, log: MessageSink) -> None:
 def _ensure_compiled(experiment: Experiment, log: MessageSink) -> None:
     """Compile what the trials need once here, not by every worker during a trial."""
     experiment.check_packages()
+    needs = []
     for reference in dict.fromkeys(cell.reference for cell in experiment.cells):
         cells = [cell for cell in experiment.cells if cell.reference == reference]
         vehicle = cells[0].vehicle
@@ -195,7 +196,8 @@ def _ensure_compiled(experiment: Experiment, log: MessageSink) -> None:
         heading = any(cell.scenario.goal.heading is not None for cell in cells)
         polish = any(cell.method.planner.polish for cell in cells)
         modules = sorted({name for cell in cells for name in kernel_modules(cell.method)})
-        ensure_compiled(vehicle, log, steps=steps, heading=heading, polish=polish, modules=modules)
+        needs.append(Needs(vehicle, steps, heading, polish, modules))
+    ensure_all_compiled(needs, log)
 
 
 def _least_times(experiment: Experiment) -> dict[str, float]:

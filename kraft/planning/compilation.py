@@ -6,8 +6,9 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -49,7 +50,20 @@ POLL: Final = 0.05  # s, longest delay of an interrupt
 MAPS: Final = "maps"  # files that mark what is compiled
 MAPS_PART: Final = "the maps' kernels"
 HEADING: Final = "heading"
+SEARCH: Final = "search"
+PLANNER: Final = "the planner and "
 OPTIONAL: Final = {"rollouts": "the rollouts", "sst": "the planner sst"}
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What is needed of a vehicle: its planner, and what `ensure_compiled` names."""
+
+    vehicle: Vehicle
+    steps: bool = False
+    heading: bool = False
+    polish: bool = False
+    modules: Sequence[str] = ()
 
 
 def ensure_compiled(
@@ -68,7 +82,15 @@ def ensure_compiled(
     `heading`, all that goals with a heading need, that among it.  `modules` names kernels that few methods use, see
     `optional_module`.
     """
-    _compile(_missing(vehicle, steps=steps, heading=heading, polish=polish or heading, modules=modules), report)
+    ensure_all_compiled([Needs(vehicle, steps, heading, polish, modules)], report)
+
+
+def ensure_all_compiled(needs: Iterable[Needs], report: Callable[[str], None]) -> None:
+    """Compile what is needed of several vehicles and is not cached, which is reported as one compilation."""
+    parts: dict[str, Callable[[], object]] = {}
+    for each in needs:
+        parts.update(_missing(each, parts))
+    _compile(parts, report)
 
 
 def ensure_checks_compiled(task: Task, vehicle: Vehicle, report: MessageSink) -> None:
@@ -86,37 +108,40 @@ def _compile(parts: Mapping[str, Callable[[], object]], report: MessageSink) -> 
     """Compile parts by name; `report` gets what is compiled, for how long, and each part that is done."""
     if not parts:
         return
-    # no estimate: what else the machine does makes it three times as long
-    report(f"compiling {', '.join(parts)} for this machine, once: this may take a minute ...")
+    # no closer estimate: what else the machine does makes it three times as long
+    report(f"compiling {', '.join(parts)} for this machine, once: up to a minute, or two if the machine is busy ...")
     began = time.perf_counter()
     for number, (name, compile_part) in enumerate(parts.items(), 1):
-        took = time.perf_counter() - began
-        with interrupts_between_passes(), elapsed_time(report, f"compiling {name}", before=took):
+        took, part = time.perf_counter() - began, f"{name} ({number} of {len(parts)})" if len(parts) > 1 else name
+        with interrupts_between_passes(), elapsed_time(report, f"compiling {part}", before=took):
             compile_part()
         if number < len(parts):
-            report(f"  {number} of {len(parts)} after {time.perf_counter() - began:.0f} s: {name}")
+            report(f"  {time.perf_counter() - began:.0f} s: compiled {part}")
     report(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
 
 
-def _missing(
-    vehicle: Vehicle, *, steps: bool, heading: bool, polish: bool, modules: Sequence[str]
-) -> dict[str, Callable[[], object]]:
-    """Which parts that are needed are not cached, by name, each with the function that compiles it."""
+def _missing(needs: Needs, others: Mapping[str, object]) -> dict[str, Callable[[], object]]:
+    """Which parts that are needed are not cached, by name, each with the function that compiles it.
+
+    The planner itself is compiled with the first vehicle; `others` are the parts that are compiled before.
+    """
+    vehicle, polish = needs.vehicle, needs.polish or needs.heading
     parts: dict[str, Callable[[], object]] = {}
     if not is_cached(vehicle):
-        parts[f"the planner and the model of {vehicle.name}"] = partial(_exercise, vehicle)
+        known = _marker(SEARCH).exists() or any(name.startswith(PLANNER) for name in others)
+        parts[f"{'' if known else PLANNER}the model of {vehicle.name}"] = partial(_exercise, vehicle)
     elif not _marker(MAPS).exists():  # otherwise compiled with the planner
         parts[MAPS_PART] = compile_maps
-    if steps and not are_steps_cached(vehicle):
+    if needs.steps and not are_steps_cached(vehicle):
         parts[f"the steps of the model of {vehicle.name}"] = partial(step_kernels, vehicle)
-    if steps and not _is_identification_cached():
+    if needs.steps and not _is_identification_cached():
         parts["the identification and the pose filter"] = partial(_compile_identification, vehicle)
     if polish and not is_polish_cached(vehicle):
         parts[f"the local optimisation for {vehicle.name}"] = partial(polish_kernels, vehicle)
-    for name in modules:
+    for name in needs.modules:
         if not is_module_cached(vehicle, name):
             parts[f"{OPTIONAL[name]} for {vehicle.name}"] = partial(optional_module, vehicle, name)
-    if heading and not _marker(HEADING).exists():
+    if needs.heading and not _marker(HEADING).exists():
         parts["the planner for goals with a heading"] = compile_for_headings
     return parts
 
@@ -153,6 +178,7 @@ def _exercise(vehicle: Vehicle) -> None:
         dirt.start(state)
         dirt.grow(iterations=10)
         dirt.plan()
+        _marker(SEARCH).touch()
 
 
 @contextmanager

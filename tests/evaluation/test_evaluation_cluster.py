@@ -141,7 +141,7 @@ def test_an_address_where_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPa
         raise AssertionError("compiled before the address was tried")
 
     monkeypatch.setattr(cluster, "ANSWER_TIMEOUT", 0.5)
-    monkeypatch.setattr("kraft.evaluation.evaluator.ensure_compiled", compiled)
+    monkeypatch.setattr("kraft.evaluation.evaluator.ensure_all_compiled", compiled)
     with refused(("cluster", Code.NOT_FOUND)):
         evaluate(["turns"], ["kraft"], 1, cluster="tcp://127.0.0.1:9")
     with refused(("cluster", Code.NOT_FOUND)):

@@ -223,7 +223,7 @@ def test_a_folder_of_another_configuration_is_refused_field_by_field(
         raise AssertionError("compiled before the folder was checked")
 
     run(tmp_path / "out", observer=StoppingObserver(2))
-    monkeypatch.setattr("kraft.evaluation.evaluator.ensure_compiled", compiled)
+    monkeypatch.setattr("kraft.evaluation.evaluator.ensure_all_compiled", compiled)
     before = (tmp_path / "out/trials.jsonl").read_bytes()
     with pytest.raises(InputError) as caught:
         run(tmp_path / "out", resume=True, **change)

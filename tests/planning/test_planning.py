@@ -13,7 +13,7 @@ import pytest
 from support.diagnostics import located, raised
 
 from kraft.errors import Code, Defect, InputError
-from kraft.planning.compilation import ensure_compiled
+from kraft.planning.compilation import Needs, ensure_all_compiled, ensure_compiled
 from kraft.planning.feasibility import check_placement, memory_needed
 from kraft.planning.plan import PlanResult, finds_plan, plan_task
 from kraft.planning.search import Budget, Previous, search_named
@@ -438,6 +438,20 @@ def test_each_part_that_is_compiled_is_told(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("kraft.planning.compilation.optional_module", lambda _, name: compiled.append(name))
     ensure_compiled(vehicle, messages.append, polish=True, modules=("rollouts", "sst"))
     assert compiled == ["polish", "rollouts", "sst"]
-    assert messages[1].startswith("  1 of 3 after 0 s: the local optimisation for mushr")
-    assert messages[2].startswith("  2 of 3 after 0 s: the rollouts for mushr")
+    assert messages[1:3] == [
+        "  0 s: compiled the local optimisation for mushr (1 of 3)", "  0 s: compiled the rollouts for mushr (2 of 3)",
+    ]  # fmt: skip
     assert messages[3].startswith("compiled in 0 s")
+
+
+def test_what_several_vehicles_need_is_one_compilation_and_the_planner_is_named_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    messages, compiled = list[str](), list[str]()
+    monkeypatch.setattr("kraft.planning.compilation.is_cached", lambda _: False)
+    monkeypatch.setattr("kraft.planning.compilation.SEARCH", "of another version")
+    monkeypatch.setattr("kraft.planning.compilation._exercise", lambda vehicle: compiled.append(vehicle.name))
+    ensure_all_compiled([Needs(load_vehicle(name)) for name in ("mushr", "jackal")], messages.append)
+    assert compiled == ["mushr", "jackal"]
+    assert messages[0].startswith("compiling the planner and the model of mushr, the model of jackal for this machine")
+    assert [message for message in messages if message.startswith("compil")] == [messages[0], messages[-1]]
