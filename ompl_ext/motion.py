@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ompl_ext.arrays import Floats, Ints, Matrix
-from ompl_ext.kernels.specialise import kernels
+from ompl_ext.kernels.specialise import model_step
 from ompl_ext.vehicle import Vehicle
 
 STEP = 0.05  # of the simulated motions (s)
@@ -106,7 +106,7 @@ def _response_time(vehicle: Vehicle) -> float:
     """Time to the top speed at the acceleration from standstill (s); 0 for a vehicle without a speed."""
     if not vehicle.rest:
         return 0.0
-    advance, state, k = kernels(vehicle).advance, np.zeros(len(vehicle.state)), vehicle.rest_indices[0]
+    advance, state, k = model_step(vehicle), np.zeros(len(vehicle.state)), vehicle.rest_indices[0]
     largest, after = 0.0, np.zeros(len(vehicle.state))
     for control in corners(vehicle.control_bounds, np.random.default_rng(0)):
         advance(state, np.ascontiguousarray(control), vehicle.parameter_array, STEP, after)
@@ -153,7 +153,7 @@ def _rollout(vehicle: Vehicle, controls: list[Floats], steps: int) -> tuple[Matr
 
     A step that leaves the limits is not made.
     """
-    advance, parameters, limits = kernels(vehicle).advance, vehicle.parameter_array, vehicle.state_limits
+    advance, parameters, limits = model_step(vehicle), vehicle.parameter_array, vehicle.state_limits
     for name in ("x", "y"):
         limits[vehicle.index(name)] = -math.inf, math.inf
     state, before, after, held = np.zeros(len(vehicle.state)), [], [], []

@@ -33,9 +33,11 @@ from ompl_ext.kernels.posetogo import compile_pose_cost_to_go
 from ompl_ext.kernels.specialise import (
     are_steps_cached,
     is_cached,
+    is_model_cached,
     is_module_cached,
     is_polish_cached,
     kernels,
+    model_step,
     optional_module,
     polish_kernels,
     step_kernels,
@@ -94,14 +96,16 @@ def ensure_all_compiled(needs: Iterable[Needs], report: Callable[[str], None]) -
 
 
 def ensure_checks_compiled(task: Task, vehicle: Vehicle, report: MessageSink) -> None:
-    """Compile what `check_placement` and `check_reachable` need: the kernels of maps, and the vehicle's for few tasks.
+    """Compile what `check_placement` and `check_reachable` need: the kernels of maps, and for few tasks the model.
 
     What is cached is not compiled again; `report` gets progress messages.
     """
-    if needs_motions(task):
-        ensure_compiled(vehicle, report)
-    elif not _marker(MAPS).exists():
-        _compile({MAPS_PART: compile_maps}, report)
+    parts: dict[str, Callable[[], object]] = {}
+    if not _marker(MAPS).exists():
+        parts[MAPS_PART] = compile_maps
+    if needs_motions(task) and not is_model_cached(vehicle):
+        parts[f"the model of {vehicle.name}"] = partial(model_step, vehicle)
+    _compile(parts, report)
 
 
 def _compile(parts: Mapping[str, Callable[[], object]], report: MessageSink) -> None:

@@ -98,7 +98,7 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
 
 
 def needs_motions(task: Task) -> bool:
-    """Whether `check_placement` simulates motions of the vehicle, for which its kernels are compiled.
+    """Whether `check_placement` simulates motions of the vehicle, for which its model is compiled.
 
     All other tasks need those of maps alone.
     """

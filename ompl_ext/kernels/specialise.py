@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple, ParamSpec, TypeVar
+from typing import NamedTuple, ParamSpec, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -32,6 +32,8 @@ from ompl_ext.vehicle import Vehicle
 T = TypeVar("T")
 Given = ParamSpec("Given")
 FOR_ALL_VEHICLES = ("sst",)  # modules that few methods use and that do not depend on the vehicle
+MODEL = "model-complete"
+ModelStep: TypeAlias = Callable[[Floats, Floats, Floats, float, Floats], None]
 _kernels: dict[str, VehicleKernels] = {}
 _steps: dict[str, StepKernels] = {}
 
@@ -56,7 +58,7 @@ class Layout(NamedTuple):
 class VehicleKernels:
     """Compiled functions of one vehicle, see `ompl_ext.kernels.lanes`."""
 
-    advance: Callable[[Floats, Floats, Floats, float, Floats], None]
+    advance: ModelStep
     roll_out: Callable[[Floats, Matrix, Floats, Floats], None]
     functions: Ints
     """addresses of those that kernels call, see `ompl_ext.kernels.functions`"""
@@ -134,7 +136,7 @@ def kernels(vehicle: Vehicle) -> VehicleKernels:
     key = _key(vehicle)
     if key not in _kernels:
         search()
-        module, checks = _execute(vehicle, "lanes"), layout_module_of(vehicle, "checks")
+        module, checks = module_of(vehicle, "lanes"), layout_module_of(vehicle, "checks")
         functions = np.zeros(FUNCTIONS, np.int64)
         for number, address in {**module.ADDRESSES, **checks.ADDRESSES}.items():
             functions[number] = address
@@ -142,6 +144,21 @@ def kernels(vehicle: Vehicle) -> VehicleKernels:
         if vehicle.source:
             _done_marker(vehicle).touch()
     return _kernels[key]
+
+
+def is_model_cached(vehicle: Vehicle) -> bool:
+    """Whether `model_step(vehicle)` has or loads machine code instead of compiling it."""
+    loaded = _module_name(_key(vehicle), "lanes") in sys.modules
+    return loaded or is_cached(vehicle) or (bool(vehicle.source) and _done_marker(vehicle, MODEL).exists())
+
+
+@_one_at_a_time
+def model_step(vehicle: Vehicle) -> ModelStep:
+    """Compiled step of the model of `vehicle`: `advance` of its kernels, without the search."""
+    advance: ModelStep = module_of(vehicle, "lanes").advance
+    if vehicle.source:
+        _done_marker(vehicle, MODEL).touch()
+    return advance
 
 
 @_one_at_a_time

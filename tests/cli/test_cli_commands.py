@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections import OrderedDict
 from pathlib import Path
 
 import pytest
@@ -51,7 +52,7 @@ def test_validation_of_a_scenario_compiles_the_maps_kernels_alone_and_says_so(
     def planner(vehicle: Vehicle) -> None:
         raise AssertionError(f"the planner is compiled for {vehicle.name}")
 
-    monkeypatch.setattr("ompl_ext.motion.kernels", planner)
+    monkeypatch.setattr("ompl_ext.motion.model_step", planner)
     monkeypatch.setattr("kraft.planning.compilation.kernels", planner)
     monkeypatch.setattr("kraft.planning.compilation._marker", lambda name: files / name)
     monkeypatch.setattr("kraft.planning.compilation.compile_maps", lambda: None)
@@ -59,6 +60,23 @@ def test_validation_of_a_scenario_compiles_the_maps_kernels_alone_and_says_so(
     out, err = capsys.readouterr()
     assert out == "good.yaml: valid scenario\n"
     assert err.startswith("compiling the maps' kernels for this machine, once: ")
+
+
+def test_validation_of_a_goal_with_limits_compiles_the_model_but_not_the_search(
+    files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def search() -> None:
+        raise AssertionError("the search is compiled")
+
+    monkeypatch.setattr("ompl_ext.kernels.specialise.search", search)
+    monkeypatch.setattr("ompl_ext.kernels.specialise._kernels", {})
+    monkeypatch.setattr("ompl_ext.motion._cache", OrderedDict())
+    monkeypatch.setattr("kraft.planning.compilation.is_model_cached", lambda _: False)
+    (files / "stop.yaml").write_text(GOOD.replace("goal: {", "goal: {limits: {v: [0, 0.1]}, "))
+    assert main(["validate", "stop.yaml"]) == 0
+    out, err = capsys.readouterr()
+    assert out == "stop.yaml: valid scenario\n"
+    assert err.startswith("compiling the model of mushr for this machine, once: ")
 
 
 def test_a_file_of_another_kind_is_said_to_be_one(files: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -407,7 +407,7 @@ def test_what_identification_needs_is_compiled_before_a_vehicle_drives(monkeypat
     ensure_compiled(vehicle, messages.append, steps=True)
     assert "the identification" in messages[0]
     assert compiled == [vehicle]
-    assert len(messages) == 2
+    assert len([message for message in messages if not message.startswith(" ")]) == 2
 
 
 def test_the_time_of_a_long_compilation_is_told_while_it_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
