@@ -87,7 +87,7 @@ def identify_car(
     logs: Sequence[Log],
     settings: Settings | None = None,
     on_iteration: OnIteration = ignore_iteration,
-    on_model: Callable[[str], None] = lambda _: None,
+    on_stage: Callable[[str], None] = lambda _: None,
 ) -> IdentifiedCar:
     """Identify a car with the model that predicts logs best that it was not fitted to.
 
@@ -95,7 +95,7 @@ def identify_car(
         logs: with the commands throttle and steering, in any unit, forward and left positive.
         settings: None for the defaults.
         on_iteration: called after each iteration with the number of iterations and the cost.
-        on_model: called with the name of each model before it is fitted to all logs; with the first one for both cars.
+        on_stage: called before each stage with what is fitted: a model, and of the car with terms what is chosen.
 
     Raises:
         InputError: if the logs cannot be used, or a command never changes in them.
@@ -103,16 +103,15 @@ def identify_car(
     settings = settings or Settings()
     check_any(logs)
     check_controls(logs, SteeringInMotion.of(logs))
-    on_model(CARS[0])
     screening = begin(lambda names: [_screened(name, logs, settings) for name in names], KNOWN)
-    car = _with_terms(logs, settings, on_iteration)
+    car = _with_terms(logs, settings, on_iteration, on_stage)
     judged, refused = [_judged(car, logs, settings)], []
     comparable = len(judged[0].errors) == len(logs)  # else the car has no errors of the logs that tell
     for name, screened in zip(KNOWN, screening.result(), strict=True):
         if comparable and screened is not None and screened.score() > SCREENING_FACTOR * judged[0].score(_tests(logs)):
             refused.append(screened)
             continue
-        on_model(name)
+        on_stage(name)
         known = _known(name, logs, replace(settings, iterations=KNOWN_ITERATIONS), on_iteration)
         if known is not None and known.identification.converged:
             judged.append(_judged(known, logs, settings))
@@ -183,14 +182,18 @@ def _sampled(log: Log, seconds: float) -> Log:
     return replace(log, parts=tuple(piece for piece in pieces if len(piece.pose_times)))
 
 
-def _with_terms(logs: Sequence[Log], settings: Settings, on_iteration: OnIteration) -> IdentifiedCar:
+def _with_terms(
+    logs: Sequence[Log], settings: Settings, on_iteration: OnIteration, on_stage: Callable[[str], None]
+) -> IdentifiedCar:
     """The car with the terms that the logs need, commands in the range of the logs."""
     cars = [for_commands(load_base_vehicle(name), logs) for name in CARS]
     if WHEELBASE in settings.values:
         cars = [for_wheelbase(each, settings.values[WHEELBASE]) for each in cars]
     else:
+        on_stage(f"{CARS[0]}, its wheelbase")
         cars = with_wheelbase(cars, logs, settings, on_iteration)
     definitions = _definitions(cars)
+    on_stage(f"{CARS[0]}, the terms that the logs need")
     choice = identify_terms(definitions[0], logs, settings, on_iteration, definitions[1])
     base = next(each for each in cars if each.definition is choice.vehicle)
     return IdentifiedCar(with_speed(base, choice.identification, logs), choice.identification)

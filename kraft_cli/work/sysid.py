@@ -251,22 +251,22 @@ def _restored(split: LogSplit, units: Mapping[str, CommandUnit]) -> LogSplit:
 
 
 class ProgressReporter:
-    """Reports the iterations of the optimiser for a model, at most once per `PROGRESS_INTERVAL`."""
+    """Reports the iterations of the optimiser in a stage, at most once per `PROGRESS_INTERVAL`."""
 
-    def __init__(self, info: MessageSink, model: str = "", clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, info: MessageSink, stage: str = "", clock: Callable[[], float] = time.monotonic) -> None:
         """Start the clock."""
-        self._info, self._model, self._clock, self._last = info, model, clock, clock()
+        self._info, self._stage, self._clock, self._last = info, stage, clock, clock()
 
-    def begin(self, model: str) -> None:
-        """Note the name of the model that is fitted from now on."""
-        self._model = model
+    def begin(self, stage: str) -> None:
+        """Note what is fitted from now on."""
+        self._stage = stage
 
     def __call__(self, iterations: int, cost: float) -> None:
         """Report the number of iterations and the cost, unless the last report is recent."""
         now = self._clock()
         if now - self._last >= PROGRESS_INTERVAL:
             self._last = now
-            self._info(f"{self._model}: iteration {iterations}, cost {cost:.6g}")
+            self._info(f"{self._stage}: iteration {iterations}, cost {cost:.6g}")
 
 
 def _excluded_note(base: BaseVehicle, settings: Settings) -> tuple[str, ...]:

@@ -282,7 +282,9 @@ def test_a_variation_names_a_parameter_of_the_model_and_is_not_negative() -> Non
 def test_a_fast_car_without_lags_is_not_fitted_with_lags() -> None:
     model = car(a_drive=8.75, damping=2.5, friction=0.0)
     logs = [drive(model, seed, low=(0.3, -0.5)) for seed in range(5)]
-    found = identify_car(logs)
+    stages = list[str]()
+    found = identify_car(logs, on_stage=stages.append)
+    assert stages[:2] == ["car-lag, its wheelbase", "car-lag, the terms that the logs need"]
     assert found.base.name == "car"
     errors = prediction_errors(found.base.definition, [drive(model, 90)], found.identification.values)
     assert errors.position[3.0] < 0.03
