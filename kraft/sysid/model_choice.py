@@ -31,6 +31,7 @@ from kraft.sysid.selection import candidates_of
 from kraft.sysid.smoothing import thinned
 from kraft.sysid.structure_choice import CLEARLY_WORSE
 from kraft.sysid.terms import check_controls, errors_of_all_terms, identify_terms
+from kraft.text import counted
 from kraft.vehicles import CAR_CONTROLS, WHEELBASE
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Matrix
@@ -105,7 +106,7 @@ def identify_car(
     check_controls(logs, SteeringInMotion.of(logs))
     screening = begin(lambda names: [_screened(name, logs, settings) for name in names], KNOWN)
     car = _with_terms(logs, settings, on_iteration, on_stage)
-    judged, refused = [_judged(car, logs, settings)], []
+    judged, refused, missing = [_judged(car, logs, settings)], list[_Candidate](), list[str]()
     comparable = len(judged[0].errors) == len(logs)  # else the car has no errors of the logs that tell
     for name, screened in zip(KNOWN, screening.result(), strict=True):
         if comparable and screened is not None and screened.score() > SCREENING_FACTOR * judged[0].score(_tests(logs)):
@@ -113,14 +114,17 @@ def identify_car(
             continue
         on_stage(name)
         known = _known(name, logs, replace(settings, iterations=KNOWN_ITERATIONS), on_iteration)
-        if known is not None and known.identification.converged:
+        if isinstance(known, str):
+            missing.append(f"{name} is not among the compared models: {known}")
+        else:
             judged.append(_judged(known, logs, settings))
     best = judged[0]
     for other in judged[1:]:
         if other.score() < best.score():
             best = other
     models = tuple(_trial(candidate, chosen=candidate is best) for candidate in (*judged, *refused))
-    return replace(best.model, identification=replace(best.model.identification, models=models))
+    found = best.model.identification
+    return replace(best.model, identification=replace(found, models=models, notes=(*found.notes, *missing)))
 
 
 def _by_variety(logs: Sequence[Log]) -> list[int]:
@@ -155,8 +159,10 @@ def _screened(name: str, logs: Sequence[Log], settings: Settings) -> _Candidate 
     fitted = [_sampled(logs[k], SCREENING_TIME / len(first)) for k in first]
     every = candidates_of(load_base_vehicle(name).vehicle, settings)
     less = replace(settings, auxiliary=every, iterations=SCREENING_ITERATIONS)
-    known = _known(name, fitted, less, ignore_iteration) if fitted else None
-    if known is None:
+    if not fitted:
+        return None
+    known = _known(name, fitted, less, ignore_iteration, converged=False)
+    if isinstance(known, str):
         return None
     identification = replace(known.identification, without_log=())
     try:
@@ -226,16 +232,21 @@ def _definitions(cars: Sequence[BaseVehicle]) -> list[VehicleConfig]:
     return [each.definition for each in cars if isinstance(each.definition, VehicleConfig)]
 
 
-def _known(name: str, logs: Sequence[Log], settings: Settings, on_iteration: OnIteration) -> IdentifiedCar | None:
-    """A known model, fitted; None if that is impossible, or if it has other parameters than the settings name."""
+def _known(
+    name: str, logs: Sequence[Log], settings: Settings, on_iteration: OnIteration, *, converged: bool = True
+) -> IdentifiedCar | str:
+    """A known model, fitted; the reason if that is impossible, or with `converged` if its fit does not converge."""
     base = load_base_vehicle(name)
-    if not {*settings.values, *settings.frozen} <= {*base.vehicle.parameters, *auxiliary_parameters(base.vehicle)}:
-        return None
+    own = {*base.vehicle.parameters, *auxiliary_parameters(base.vehicle)}
+    if others := [each for each in dict.fromkeys((*settings.values, *settings.frozen)) if each not in own]:
+        return f"it has no parameter {', '.join(others)}"
     less = [replace(log, parts=tuple(thinned(part, settings.step) for part in log.parts)) for log in logs]
     try:
         found = identify(base.definition, less, settings, on_iteration)
-    except (InputError, NegativeResult):  # a singular fit: the commands are not in this model's units
-        return None
+    except (InputError, NegativeResult) as error:  # a singular fit: the commands are not in this model's units
+        return f"its fit failed: {'; '.join(each.problem for each in error.diagnostics) or error}"
+    if converged and not found.converged:
+        return f"its fit did not converge within {counted(settings.iterations, 'iteration')}"
     return IdentifiedCar(with_backward_commands(base, logs), found)
 
 

@@ -10,10 +10,10 @@ import pytest
 from support.cars import LEVER, STEP, TRUTH, car, drive
 from support.logs import RAMPS, needs_real_logs
 
-from kraft.errors import InputError
+from kraft.errors import InputError, NegativeResult
 from kraft.logs.log import Log, Part
 from kraft.logs.reader import read_logs
-from kraft.sysid import Settings, identify, model_choice, prediction_errors, unexplained
+from kraft.sysid import Identification, Settings, identify, model_choice, prediction_errors, unexplained
 from kraft.sysid.acceptance import useless_objections
 from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.base_vehicle import (
@@ -288,6 +288,24 @@ def test_a_fast_car_without_lags_is_not_fitted_with_lags() -> None:
     assert found.base.name == "car"
     errors = prediction_errors(found.base.definition, [drive(model, 90)], found.identification.values)
     assert errors.position[3.0] < 0.03
+
+
+def test_a_known_model_that_is_not_compared_is_named_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    def singular(*_: object) -> Identification:
+        raise NegativeResult("the equations are singular")
+
+    logs = [drive(car(), seed) for seed in range(2)]
+    not_compared = "is not among the compared models"
+    monkeypatch.setattr(model_choice, "KNOWN_ITERATIONS", 1)
+    found = identify_car(logs).identification
+    assert f"mushr-lag {not_compared}: its fit did not converge within 1 iteration" in found.notes
+    monkeypatch.setattr(model_choice, "identify", singular)
+    found = identify_car(logs).identification
+    assert {model.model for model in found.models} <= {"car", "car-lag"}
+    for name in model_choice.KNOWN:
+        assert f"{name} {not_compared}: its fit failed: the equations are singular" in found.notes
+    settings = Settings(values={"a_drive": 4.0})
+    assert model_choice._known("mushr-lag", logs, settings, lambda *_: None) == "it has no parameter a_drive"
 
 
 def test_a_known_car_has_the_backward_commands_of_the_logs() -> None:
