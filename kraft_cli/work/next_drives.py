@@ -277,7 +277,9 @@ def drives_for(
     found: list[tuple[Manoeuvre, Place | None]] = []
     with elapsed_time(report, f"planning {counted(count, 'drive')}"):
         for k, drive in enumerate(planned_drives(known, count, room, seed), 1):
-            report(f"planned drive {k} of {count}: {'; '.join(drive.words)}")
+            report(f"planned drive {k} of {count}:")
+            for words in drive.words:
+                report(f"  {words}")
             found.append((drive.commands, recorder.place(k, coarse(drive.path))))
     if not found:
         problem = f"has no room for any drive that shows the parameters of {definition.name}"

@@ -168,7 +168,10 @@ def test_recommended_drives_are_driven_and_their_commands_can_be_driven_again(
     monkeypatch.setattr(experiment, "FIRST", 10)
     monkeypatch.setattr(experiment, "ROUNDS", 0)
     assert main(["record", "--for", "mushr-lag", "--runs", "1", "--out", "planned"]) == 0
-    assert "planned drive 1 of 1: " in capsys.readouterr().err
+    lines = capsys.readouterr().err.splitlines()
+    first = lines.index("planned drive 1 of 1:") + 1
+    assert sum(line.startswith("  ") for line in lines[first : first + 2]) == 2, "a line for each step"
+    assert max(map(len, lines[first : first + 4])) <= 100
     manifest = json.loads(Path("planned/run_01/manifest.json").read_text())
     assert (manifest["manoeuvre"], manifest["note"], manifest["arguments"]["for"]) == ("planned", "", "mushr-lag")
     sent = Path("planned/run_01/commands.csv").read_text()
