@@ -50,11 +50,15 @@ class NextRequest:
 
 @dataclass(frozen=True)
 class NextDrives:
-    """Recommended drives, the area for them, and the files of their commands, if there are such."""
+    """Recommended drives, the area for them, and the files of their commands, if there are such.
+
+    `unidentified` are the parameters that the logs hardly show.
+    """
 
     drives: tuple[PlannedDrive, ...]
     area: Area
     files: tuple[Path, ...]
+    unidentified: tuple[str, ...] = ()
 
 
 def check_next(request: NextRequest) -> None:
@@ -126,7 +130,7 @@ def next_drives(
         for k, drive in enumerate(drives, 1):
             files.append(request.commands / f"drive_{k}" / "commands.csv")
             write_commands(files[-1], tuple(vehicle.controls), drive.commands)
-    return NextDrives(tuple(drives), area, tuple(files))
+    return NextDrives(tuple(drives), area, tuple(files), identification.unidentified)
 
 
 @dataclass(frozen=True)
@@ -334,7 +338,9 @@ def next_lines(found: NextDrives) -> list[str]:
             f"   prediction error by the uncertainty of the parameters: {100 * drive.error_before:.2g} cm "
             f"to {100 * drive.error_after:.2g} cm"
         )
-    unseen = [n for n in found.drives[0].before if found.drives[-1].after[n] > 0.9 * found.drives[0].before[n]]
+    first, last = found.drives[0].before, found.drives[-1].after
+    # of what the logs show already, a drive need not tell more
+    unseen = [name for name in found.unidentified if name in first and last[name] > 0.9 * first[name]]
     if unseen:
         lines.append(f"no drive shows {', '.join(unseen)}")
     return [*lines, *(f"commands {file}" for file in found.files)]

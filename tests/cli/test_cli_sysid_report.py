@@ -8,13 +8,18 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
+import numpy as np
 import pytest
 
+from kraft.recording.area import Area
+from kraft.recording.experiment import PlannedDrive
+from kraft.recording.manoeuvres import Manoeuvre
 from kraft.sysid.base_vehicle import load_base_vehicle
 from kraft.sysid.interface import ModelTrial
 from kraft.sysid.parameters import parameter_specs
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import configured, load_vehicle
+from kraft_cli.work.next_drives import NextDrives, next_lines
 from kraft_cli.work.sysid import SysidRequest, SysidResult, _bounds_note, _braking_note
 from kraft_cli.work.sysid_report import BY_MODEL, choice_lines, model_caption
 
@@ -85,3 +90,15 @@ def test_bounds_that_nobody_states_are_noted_and_leave_an_offset_its_sign() -> N
     bounds = {spec.name: (spec.min, spec.max, spec.unit) for spec in parameter_specs(bare, ())}
     assert bounds["phi_diff"] == (-1.0, 1.0, "rad")
     assert bounds["v_delta"][:2] == pytest.approx((0.06861, 6.861))
+
+
+@pytest.mark.parametrize(("unidentified", "says"), [((), []), (("tau",), ["no drive shows tau"])])
+def test_no_drive_is_said_to_miss_a_parameter_that_the_logs_show(
+    unidentified: tuple[str, ...], says: list[str]
+) -> None:
+    drive = PlannedDrive(
+        (), ("straight on",), cast(Manoeuvre, SimpleNamespace(end=5.0)), np.zeros((2, 3)),
+        {"L": 0.02, "tau": 0.3}, {"L": 0.0199, "tau": 0.29}, 0.2, 0.1,
+    )  # fmt: skip
+    lines = next_lines(NextDrives((drive,), Area(6.0, 4.0), (), unidentified))
+    assert [line for line in lines if line.startswith("no drive shows")] == says
