@@ -61,12 +61,12 @@ def _refuse_ambiguous(word: str) -> None:
         decimal = zeros[1] + (zeros[2].lstrip("0") or "0")
         raise AmbiguousScalar(
             f"{_short(word)} is octal to some YAML readers and decimal to others",
-            f"expected {_short(decimal)}, or quotes if it is text",
+            f"expected {_short(decimal)}, or quotes where the key takes text",
         )
     if _OTHER_BASE.match(word) or _UNDERSCORED.match(word):
         raise AmbiguousScalar(
             f"{_short(word)} is a number to some YAML readers and text to others",
-            "expected a plain decimal number, or quotes if it is text",
+            "expected a plain decimal number, or quotes where the key takes text",
         )
     if _NOT_FINITE.match(word):
         raise AmbiguousScalar(f"{word} is not a finite number", "expected a finite number")

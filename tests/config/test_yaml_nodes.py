@@ -120,6 +120,7 @@ def test_a_problem_is_reported_with_its_place(content: bytes | str, expected: st
 def test_every_problem_is_said_at_once_and_the_rest_is_still_read() -> None:
     document = parse_document("a: 012\nb: 1\nb: 2\nc: [.nan, 7]", "f.yaml")
     assert [(p.line, p.path) for p in document.problems] == [(1, "a"), (3, "b"), (4, "c[0]")]
+    assert document.problems[0].expected == "expected 12, or quotes where the key takes text"
     assert isinstance(document.data, dict)
     assert document.data["b"] == 1
     assert isinstance(document.data["a"], Unusable)
