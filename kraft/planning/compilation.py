@@ -87,7 +87,7 @@ def ensure_compiled(
     ensure_all_compiled([Needs(vehicle, steps, heading, polish, modules)], report)
 
 
-def ensure_all_compiled(needs: Iterable[Needs], report: Callable[[str], None]) -> None:
+def ensure_all_compiled(needs: Iterable[Needs], report: MessageSink) -> None:
     """Compile what is needed of several vehicles and is not cached, which is reported as one compilation."""
     parts: dict[str, Callable[[], object]] = {}
     for each in needs:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -31,7 +31,7 @@ from kraft.sysid.selection import candidates_of
 from kraft.sysid.smoothing import thinned
 from kraft.sysid.structure_choice import CLEARLY_WORSE
 from kraft.sysid.terms import check_controls, errors_of_all_terms, identify_terms
-from kraft.text import counted
+from kraft.text import MessageSink, counted, no_messages
 from kraft.vehicles import CAR_CONTROLS, WHEELBASE
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Matrix
@@ -88,7 +88,7 @@ def identify_car(
     logs: Sequence[Log],
     settings: Settings | None = None,
     on_iteration: OnIteration = ignore_iteration,
-    on_stage: Callable[[str], None] = lambda _: None,
+    on_stage: MessageSink = no_messages,
 ) -> IdentifiedCar:
     """Identify a car with the model that predicts logs best that it was not fitted to.
 
@@ -189,7 +189,7 @@ def _sampled(log: Log, seconds: float) -> Log:
 
 
 def _with_terms(
-    logs: Sequence[Log], settings: Settings, on_iteration: OnIteration, on_stage: Callable[[str], None]
+    logs: Sequence[Log], settings: Settings, on_iteration: OnIteration, on_stage: MessageSink
 ) -> IdentifiedCar:
     """The car with the terms that the logs need, commands in the range of the logs."""
     cars = [for_commands(load_base_vehicle(name), logs) for name in CARS]
