@@ -222,8 +222,8 @@ def test_a_missing_extra_is_told_before_anything_is_compiled(
         raise AssertionError("compiled before the packages were checked")
 
     monkeypatch.setitem(sys.modules, package, None)
-    for module in ("kraft_cli.work.run", "kraft.evaluation.evaluator"):
-        monkeypatch.setattr(f"{module}.ensure_compiled", compiled)
+    for compilation in ("kraft_cli.work.run.ensure_compiled", "kraft.evaluation.evaluator.ensure_all_compiled"):
+        monkeypatch.setattr(compilation, compiled)
     options = [option.replace("--method", "--methods" if command == "eval" else "--method") for option in options]
     assert main([command, "turns", *options]) == 3
     assert f"[{'mpc' if package == 'casadi' else 'vision'}]" in capsys.readouterr().err
