@@ -22,11 +22,7 @@ from kraft.planning.feasibility import check_placement, needs_motions
 from kraft.planning.workspace import start_state
 from kraft.scenario import Scenario
 from kraft.text import MessageSink, no_messages
-from kraft.trial.planning_vehicle import (
-    check_robot,
-    load_planning_vehicle,
-    vehicle_reference,
-)
+from kraft.trial.planning_vehicle import check_robot, load_planning_vehicle, vehicle_reference
 from kraft.vehicles.load import load_vehicle, resolved_reference
 from kraft.vehicles.reference import reference_of
 from ompl_ext.vehicle import Vehicle
@@ -193,7 +189,8 @@ def _cells(
                         ensure_compiled(model, log)
                     check_placement(scenario, model, start_state(scenario, model))
                     check_robot(scenario, model)
-                unchanged = not entry.settings and reference == vehicle_reference(scenario, method)
+                given = vehicle is not None and reference != vehicle_reference(scenario, method)
+                unchanged = not entry.settings and not given
                 yield Cell(entry, method, reference, model, unchanged and is_of_paper(scenario, method))
             except InputError as error:
                 problems += error.diagnostics

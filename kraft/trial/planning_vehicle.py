@@ -12,7 +12,7 @@ from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Scenario
 from kraft.vehicles import is_car
 from kraft.vehicles.load import load_vehicle, natural_robot
-from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
+from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle
 from kraft.vehicles.true_robot import CAR_SIZES, Robot
 from ompl_ext.vehicle import Footprint, Vehicle
 
@@ -55,12 +55,16 @@ def vehicle_reference(scenario: Scenario, method: Method, vehicle: str | None = 
     except VehicleProblem as error:
         problem = method.source.diagnostic("planner.vehicle", error.problem, error.expected, code=error.code)
         raise InputError([problem]) from None
-    names = bundled.names("vehicle")
-    if own in names and scenario.vehicle not in names:
+    if _is_bundled(own) and not _is_bundled(scenario.vehicle):
         return scenario.vehicle
     if own == scenario.vehicle or _are_of_one_robot(load_vehicle(own), vehicle_of_task(scenario)):
         return own
     return scenario.vehicle
+
+
+def _is_bundled(reference: str) -> bool:
+    """Whether a resolved reference is the name of a bundled vehicle: paths are absolute."""
+    return bundled.is_name(reference) and not is_attribute(reference)
 
 
 def _are_of_one_robot(one: Vehicle, other: Vehicle) -> bool:

@@ -10,10 +10,10 @@ import pytest
 from support.cars import LEVER, STEP, TRUTH, car, drive
 from support.logs import RAMPS, needs_real_logs
 
-from kraft.errors import InputError, NegativeResult
+from kraft.errors import InputError
 from kraft.logs.log import Log, Part
 from kraft.logs.reader import read_logs
-from kraft.sysid import Identification, Settings, identify, model_choice, prediction_errors, unexplained
+from kraft.sysid import Settings, identify, model_choice, prediction_errors, unexplained
 from kraft.sysid.acceptance import useless_objections
 from kraft.sysid.actuators import ActuatorModel
 from kraft.sysid.base_vehicle import (
@@ -22,7 +22,6 @@ from kraft.sysid.base_vehicle import (
     for_turns,
     for_wheelbase,
     load_base_vehicle,
-    with_backward_commands,
     with_recorded_commands,
     with_speed,
 )
@@ -277,47 +276,6 @@ def test_a_variation_names_a_parameter_of_the_model_and_is_not_negative() -> Non
     with pytest.raises(InputError) as refused:
         identify_terms(car_file(), [drive(car(), 0)], Settings(variation={"a_drivee": 0.1, "phi_diff": -0.1}))
     assert sorted(found.file for found in refused.value.diagnostics) == ["variation", "variation"]
-
-
-def test_a_fast_car_without_lags_is_not_fitted_with_lags() -> None:
-    model = car(a_drive=8.75, damping=2.5, friction=0.0)
-    logs = [drive(model, seed, low=(0.3, -0.5)) for seed in range(5)]
-    stages = list[str]()
-    found = identify_car(logs, on_stage=stages.append)
-    assert stages[:2] == ["car-lag, its wheelbase", "car-lag, the terms that the logs need"]
-    assert found.base.name == "car"
-    errors = prediction_errors(found.base.definition, [drive(model, 90)], found.identification.values)
-    assert errors.position[3.0] < 0.03
-
-
-def test_a_known_model_that_is_not_compared_is_named_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    def singular(*_: object) -> Identification:
-        raise NegativeResult("the equations are singular")
-
-    logs = [drive(car(), seed) for seed in range(2)]
-    not_compared = "is not among the compared models"
-    monkeypatch.setattr(model_choice, "KNOWN_ITERATIONS", 1)
-    found = identify_car(logs).identification
-    assert f"mushr-lag {not_compared}: its fit did not converge within 1 iteration" in found.notes
-    monkeypatch.setattr(model_choice, "identify", singular)
-    found = identify_car(logs).identification
-    assert {model.model for model in found.models} <= {"car", "car-lag"}
-    for name in model_choice.KNOWN:
-        assert f"{name} {not_compared}: its fit failed: the equations are singular" in found.notes
-    settings = Settings(values={"a_drive": 4.0})
-    assert model_choice._known("mushr-lag", logs, settings, lambda *_: None) == "it has no parameter a_drive"
-
-
-def test_a_known_car_has_the_backward_commands_of_the_logs() -> None:
-    """The model knows no braking, and predicts it nevertheless: without these commands its plans could only coast."""
-    base = load_base_vehicle("mushr-lag")
-    forward, braking = drive(car(), 0, low=(0.1, -0.5)), drive(car(), 1, low=(-0.6, -0.5))
-    assert with_backward_commands(base, [forward]) is base
-    changed = with_backward_commands(base, [forward, braking])
-    (part,) = braking.parts
-    assert changed.vehicle.controls["throttle"] == (pytest.approx(part.commands[:, 0].min()), 1.0)
-    assert part.commands[:, 0].min() < -0.2
-    assert changed.vehicle.controls["steering"] == base.vehicle.controls["steering"]
 
 
 def test_a_window_begins_where_the_car_is_although_the_model_does_not_explain_how_it_came_there() -> None:
