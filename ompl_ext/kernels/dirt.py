@@ -151,7 +151,7 @@ def best_lane(work: Lanes, lanes: int, start: float, bound: float, problem: Prob
     """
     lane = most_promising_lane(work, lanes, start, bound)
     while lane >= 0:
-        work.slack[lane] = check(lane, start, problem, work)  # Alg. 1, l. 14, 18
+        work.slack[lane] = check(lane, start, problem, work)  # Alg. 1, l. 15, 18
         if work.slack[lane] >= 0.0:
             break
         lane = most_promising_lane(work, lanes, start, bound)
@@ -259,14 +259,14 @@ def visit(
     tree.count[NEXT] = -1
     if node < 0:
         exploring = sample_configuration(tree, problem, q)
-        node = select(tree, q)  # Alg. 1, l. 10
+        node = select(tree, q)  # Alg. 1, l. 11
         if node < 0:
             return
     exploring = exploring and tree.link[node, VISITS] > 0
     tree.link[node, VISITS] += 1
     lanes, start = problem.option[BLOSSOM], tree.value[node, COST]
-    sample_edges(tree, node, problem, work, lanes)  # l. 11
-    propagate(tree.state[node], lanes, problem, work)  # l. 12
+    sample_edges(tree, node, problem, work, lanes)  # l. 12
+    propagate(tree.state[node], lanes, problem, work)  # l. 13
     tree.count[EDGES] += lanes
     lane, added, wanted = int64(-1), int64(0), problem.option[INSERTIONS]
     decided, checked = exploring, False
@@ -285,7 +285,7 @@ def visit(
         if requires_safety(problem, start, lane, work) and safe(lane, start, problem, work, brake) < 0:
             tree.count[UNSAFE] += 1
         else:
-            child = insert(tree, problem, node, lane, work)  # l. 15, 19
+            child = insert(tree, problem, node, lane, work)  # l. 16, 19
             if child < 0:
                 return
             if added == 0 and problem.option[CHILD_EXTENSION] == 1 and is_visited_next(tree, node, child, exploring):
