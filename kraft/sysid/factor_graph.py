@@ -4,7 +4,8 @@ The fast form linearises all steps together and eliminates states and controls i
 
 The explicit form has the variables of the paper: states x_k, applied controls u_k, and the parameters rho.  Its factors
 are a prior on each control at the command of its step, dynamics between neighbouring states, and an observation between
-the two states before and after a pose.  GTSAM linearises and eliminates; there is one graph per log, because the
+the two states before and after a pose; and, unlike the paper's, a prior on rho.  The dynamics are RK4 steps instead of
+the Euler steps of Eq. 1b.  GTSAM linearises and eliminates; there is one graph per log, because the
 sandwich covariance needs the information of each log on rho.  A CustomFactor must fill every H it is given, with the
 right shape, and must never return a NaN: GTSAM does not check.
 """

@@ -120,8 +120,8 @@ def require_finite(observation: Observation) -> None:
 class LatestPose:
     """Uses the newest pose without filtering.
 
-    State components that a pose does not contain, such as the speed, follow the commands by the model (Sec. V: "the
-    robot's current velocity is the commanded desired velocity from the previous timestep").  A plan is committed for a
+    State components that a pose does not contain, such as the speed, follow the commands by the model.  In the paper
+    the speed is the commanded one (Sec. V), which a model with a lag contradicts.  A plan is committed for a
     whole cycle, so one bad pose could admit a bad plan: replanning therefore uses the mean of the newest poses.
     """
 
