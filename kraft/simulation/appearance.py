@@ -61,9 +61,19 @@ def add_visuals(spec: Any, ground: Any, scenario: Scenario, frame: FloorFrame) -
     """Add all that is only there to be seen, apart from that of the robot."""
     _add_textures(spec)
     _add_light(spec, scenario)
-    _add_stripes(spec, ground, len(scenario.truth.speed_bumps))
+    on_ground = _add_visual_body(ground)
+    _add_stripes(spec, on_ground, len(scenario.truth.speed_bumps))
     _add_tape(spec, scenario)
-    _add_surroundings(spec, ground, scenario, frame)
+    _add_surroundings(spec, on_ground, scenario, frame)
+
+
+def _add_visual_body(body: Any) -> Any:
+    """Add a body without mass, fixed to another one, for the visual geoms of that.
+
+    MuJoCo looks for contacts of bodies with several geoms in another way than for those with one, and finds others of
+    surfaces that just touch: with visual geoms in the body itself, a world that is drawn would move differently.
+    """
+    return body.add_body(name=f"{body.name} to be seen")
 
 
 def _add_textures(spec: Any) -> None:
@@ -119,7 +129,8 @@ def _add_tape(spec: Any, scenario: Scenario) -> None:
     for i, box in enumerate(scenario.truth.movable_boxes):
         length, _, height = box.size
         tape = [length / 2 + PROUD, 0.025, height / 2 + PROUD]
-        spec.body(f"movable {i}").add_geom(type=BOX, size=tape, material="tape", **contacts.VISUAL)
+        seen = _add_visual_body(spec.body(f"movable {i}"))
+        seen.add_geom(type=BOX, size=tape, material="tape", **contacts.VISUAL)
 
 
 def _add_surroundings(spec: Any, ground: Any, scenario: Scenario, frame: FloorFrame) -> None:
@@ -192,15 +203,16 @@ def add_car_visuals(spec: Any, body: Any, design: CarDesign) -> None:
         "plate": [block((-0.125, -0.075, 0.197), (0.025, 0.075, MARKER_HEIGHT))],
         "ink": _cells(),
     }
+    seen = _add_visual_body(body)
     stretch = [(design.front - design.rear) / (MUSHR.front - MUSHR.rear), design.side / MUSHR.side, 1.0]
     for material, parts in meshes.items():
         scaled = parts if design == MUSHR else [(vertices * stretch, faces) for vertices, faces in parts]
-        _add_visual(body, add_mesh(spec, f"car {material}", scaled), material)
+        _add_visual(seen, add_mesh(spec, f"car {material}", scaled), material)
     sides = [design.wheel_radius / MUSHR.wheel_radius, design.wheel_width / MUSHR.wheel_width]
     rim = [sides[0], sides[1], sides[0]]
     add_mesh(spec, "rim", _rim() if design == MUSHR else [(vertices * rim, faces) for vertices, faces in _rim()])
     for name in WHEELS:
-        wheel = spec.body(name)
+        wheel = _add_visual_body(spec.body(name))
         across = [math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0]
         size = [design.wheel_radius, design.wheel_width / 2, 0.0]
         wheel.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=size, quat=across, material="tyre", **contacts.VISUAL)
