@@ -1,4 +1,4 @@
-"""Compare methods on equal terms: the same model, the same footprint, the same margin, the paper's clearance.
+"""Compare methods on equal terms: the same model, footprint and margin, and the clearance of the paper's authors.
 
 The bundled rows differ in more than their names: one-shot rows plan with another model and footprint than replanning
 rows, and replanning rows keep a margin.  This varies one of these at a time in Turns and Boxes.
@@ -45,9 +45,9 @@ def methods(folder: Path) -> list[kraft.Method]:
     footprint = str(true_footprint(folder))
     found += [variant(method, "true footprint", vehicle=footprint) for method in MODES[:3]]
     found += [variant(method, "no margin", margin=0.0) for method in ("kraft", "conservative-kraft", "filtered-kraft")]
-    paper = Clearance(delta=0.05, delta_per_speed=0.25)
-    found += [variant("conservative-kraft", "0.05 + 0.25 v", safety=paper)]
-    found += [variant("conservative-kraft", "0.05 + 0.25 v without margin", safety=paper, margin=0.0)]
+    authors = Clearance(delta=0.05, delta_per_speed=0.25)
+    found += [variant("conservative-kraft", "0.05 + 0.25 v", safety=authors)]
+    found += [variant("conservative-kraft", "0.05 + 0.25 v without margin", safety=authors, margin=0.0)]
     return found
 
 
