@@ -1,4 +1,4 @@
-"""The paper's claims as paired tests: long horizons help, feedback helps, safety helps."""
+"""The paper's claims as paired tests: replanning, long horizons, feedback and safety each help."""
 
 from __future__ import annotations
 
@@ -26,10 +26,13 @@ class Claim:
         return self.method, self.reference
 
 
+REPLANNING: Final = "replanning"
 LONG_HORIZONS: Final = "long horizons"
 FEEDBACK: Final = "feedback"
 SAFETY: Final = "safety"
-THREE: Final = (
+PAPER: Final = (
+    Claim(REPLANNING, "kraft", "oneshot-kinodynamic"),
+    Claim(REPLANNING, "replanner-openloop", "oneshot-openloop"),
     Claim(LONG_HORIZONS, "kraft-mppi", "mppi"),
     Claim(LONG_HORIZONS, "kraft-nmpc", "nmpc"),
     Claim(FEEDBACK, "kraft", "replanner-openloop"),
@@ -38,7 +41,7 @@ THREE: Final = (
     Claim(SAFETY, "cons-replanner-openloop", "replanner-openloop"),
     Claim(SAFETY, "adaptive-kraft", "adaptive-no-contingency"),
 )
-"""The three claims, each with the pairs of methods that test it."""
+"""The paper's claims, each with the pairs of methods that test it."""
 
 HEADING: Final = (
     "what helps", "method", "instead of", "pairs", "successes, points (95 %)", "gained / lost", "p",
@@ -146,8 +149,8 @@ def _conditions(found: Results, cell: RecordedCell) -> str:
 
 
 def comparisons(found: Sequence[Results]) -> list[Comparison]:
-    """The three claims, as far as the results folders have both methods."""
-    compared = (compare(claim, *(trials_of(found, method) for method in claim.methods)) for claim in THREE)
+    """The paper's claims, as far as the results folders have both methods."""
+    compared = (compare(claim, *(trials_of(found, method) for method in claim.methods)) for claim in PAPER)
     return [each for each in compared if each is not None]
 
 

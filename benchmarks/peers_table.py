@@ -1,4 +1,4 @@
-"""The peers at equal information: all rows over the suites, and the paper's three claims with their intervals."""
+"""The peers at equal information: all rows over the suites, and the paper's claims with their intervals."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import cache, partial
 import numpy as np
 
 from benchmarks import claims
-from benchmarks.claims import SAFETY, THREE, Claim
+from benchmarks.claims import PAPER, SAFETY, Claim
 from benchmarks.effort import Effort
 from benchmarks.parallel import each, interval
 from benchmarks.report import Report, Row, Target, number, row
@@ -72,7 +72,7 @@ class Case:
 
 def cases() -> tuple[Case, ...]:
     """Rows of the table, and those that only the claims need."""
-    named = {name for claim in THREE for name in claim.methods} | set(METHODS)
+    named = {name for claim in PAPER for name in claim.methods} | set(METHODS)
     order = [*METHODS, *sorted(named - set(METHODS))]
     return (*(Case(name) for name in order), *(Case(name, contingency=False) for name in WITHOUT))
 
@@ -145,7 +145,7 @@ def table_of(drives: Sequence[Drive]) -> list[list[str]]:
 def comparisons(drives: Sequence[Drive]) -> list[claims.Comparison]:
     """The paper's claims, and that contingencies help the peers, on the same entries and seeds."""
     peers = (Claim(SAFETY, case.method, case.name) for case in cases() if not case.contingency)
-    found = (claims.compare(claim, *(trials(drives, name) for name in claim.methods)) for claim in (*THREE, *peers))
+    found = (claims.compare(claim, *(trials(drives, name) for name in claim.methods)) for claim in (*PAPER, *peers))
     return [each for each in found if each is not None]
 
 

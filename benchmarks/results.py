@@ -40,13 +40,13 @@ brackets is the mean time of the successful trials. Intervals are Wilson's, 95 %
 
 CLAIMS_HEADING = """## What the paper claims
 
-Long horizons, feedback and safety each help: the methods of a row differ in this part, and are compared on the trials
-that both have, paired by scenario and seed. The seeds of one entry are alike, so entries are what intervals and tests
-count. Differences are in points (method minus *instead of*) with a bootstrapped 95 % interval (BCa, over entries) and
-the p-value of the exact sign-flip test over entries. Times are of pairs in which both succeeded: the geometric mean
-over the entries of the ratio of mean times, with a bootstrapped 95 % interval (BCa, over entries). The verdict states
-what an interval excludes, of successes and collisions if p is below 0.05 too; the intervals are not adjusted for their
-number.
+Replanning, long horizons, feedback and safety each help: the methods of a row differ in this part
+([and in what else](peers.md#the-papers-claims)), and are compared on the trials that both have, paired by scenario and
+seed. The seeds of one entry are alike, so entries are what intervals and tests count. Differences are in points (method
+minus *instead of*) with a bootstrapped 95 % interval (BCa, over entries) and the p-value of the exact sign-flip test
+over entries. Times are of pairs in which both succeeded: the geometric mean over the entries of the ratio of mean
+times, with a bootstrapped 95 % interval (BCa, over entries). The verdict states what an interval excludes, of successes
+and collisions if p is below 0.05 too; the intervals are not adjusted for their number.
 """
 BENCHMARKS = "Values are medians, those with a target of the worst the worst sample."
 CLAIMS = (
@@ -239,7 +239,7 @@ def differences(found: Results) -> list[str]:
 
 
 def claims_section(found: Sequence[Results]) -> list[str]:
-    """Section about the paper's three claims, over all folders together; none if no folder has methods for them."""
+    """Section about the paper's claims, over all folders together; none if no folder has methods for them."""
     compared = paired.comparisons(found)
     if not compared:
         return []

@@ -8,7 +8,19 @@ import pytest
 from support import fake_trials
 
 from benchmarks import results
-from benchmarks.claims import FEEDBACK, SAFETY, THREE, Claim, Trial, Trials, compare, comparisons, table, trials_of
+from benchmarks.claims import (
+    FEEDBACK,
+    PAPER,
+    REPLANNING,
+    SAFETY,
+    Claim,
+    Trial,
+    Trials,
+    compare,
+    comparisons,
+    table,
+    trials_of,
+)
 from kraft.driving.method import load_method
 from kraft.evaluation import evaluate
 from kraft.evaluation.report.results import read_results
@@ -134,6 +146,6 @@ def test_a_trial_that_is_in_two_folders_is_refused_unless_something_was_set(
 
 
 def test_every_method_of_the_claims_exists() -> None:
-    assert {claim.part for claim in THREE} == {"long horizons", FEEDBACK, SAFETY}
-    for claim in THREE:
+    assert {claim.part for claim in PAPER} == {REPLANNING, "long horizons", FEEDBACK, SAFETY}
+    for claim in PAPER:
         assert load_method(claim.method) != load_method(claim.reference)
