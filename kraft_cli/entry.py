@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 
+from kraft_cli.closed_streams import open_closed_streams
 from kraft_cli.signals import raise_stopped, repeat_ignored_signals, set_handler, status_of, word_of
 from ompl_ext.cores import ONE_BLAS_THREAD
 from ompl_ext.signals import STOPPING
@@ -16,6 +17,7 @@ from ompl_ext.signals import STOPPING
 
 def main() -> int:
     """Run the command line of this process and return its exit code."""
+    open_closed_streams()  # before anything opens a file
     try:
         repeat_ignored_signals()
         set_handler(raise_stopped)

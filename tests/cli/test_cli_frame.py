@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import json
 import os
 import re
 import signal
@@ -146,6 +147,23 @@ def test_help_and_version_are_data(capsys: pytest.CaptureFixture[str]) -> None:
 def test_global_flags_mean_the_same_before_and_after_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list", "methods", "-q"]) == main(["-q", "list", "methods"]) == 0
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("closed", [(0,), (1,), (2,), (0, 1, 2)])
+def test_closed_streams_change_neither_the_other_stream_nor_the_exit_code(
+    closed: tuple[int, ...], tmp_path: Path
+) -> None:
+    redirections = " ".join(f"{number}>&-" for number in closed)
+    command = f"{sys.executable} -m kraft_cli generate posts --json --out {tmp_path}/worlds {redirections}"
+    done = subprocess.run(
+        ["sh", "-c", command], check=False, capture_output=True, text=True, stdin=subprocess.DEVNULL, cwd=ROOT
+    )
+    assert done.returncode == 0, done.stderr
+    assert ("world 1 of 1" in done.stderr) == (2 not in closed)
+    if 1 in closed:
+        assert done.stdout == ""
+    else:
+        assert json.loads(done.stdout)["schema"].startswith("kraft.")
 
 
 def test_a_closed_pipe_is_not_an_error() -> None:
