@@ -14,6 +14,7 @@ from kraft_cli.app import GLOBAL_FLAGS, app
 from kraft_cli.boundary import guarded
 from kraft_cli.completion import VARIABLE, complete
 from kraft_cli.exit_status import ExitStatus
+from kraft_cli.readable_names import check_names
 from kraft_cli.terminal import Terminal
 
 
@@ -24,6 +25,7 @@ def main(argv: Sequence[str] | None = None, terminal: Terminal | None = None) ->
     terminal.traceback = "--traceback" in arguments  # before parsing, so that it applies to errors in the arguments too
 
     def command() -> ExitStatus:
+        check_names(arguments)
         program = _program()
         if instruction := os.environ.get(VARIABLE):
             return complete(program, terminal, instruction)

@@ -166,6 +166,17 @@ def test_closed_streams_change_neither_the_other_stream_nor_the_exit_code(
         assert json.loads(done.stdout)["schema"].startswith("kraft.")
 
 
+def test_names_that_are_no_text_are_refused_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scenario = tmp_path / os.fsdecode(b"t\xfcr.yaml")
+    scenario.write_bytes((ROOT / "scenarios/turns.yaml").read_bytes())
+    out = tmp_path / "plans"
+    assert main(["plan", str(scenario), "--out", str(out)]) == 2
+    problems = capsys.readouterr().err.splitlines()
+    assert len(problems) == 1
+    assert "not text in the encoding of file names" in problems[0]
+    assert not out.exists()
+
+
 def test_a_closed_pipe_is_not_an_error() -> None:
     script = "import sys; from kraft_cli.main import main; sys.exit(main(['list', 'scenarios']))"
     read, write = os.pipe()
