@@ -47,7 +47,6 @@ DENSITY, DENSITY_MAX = 0.15, 0.5
 """Areas of all clutter over that of the floor between start and goal, by default and at most."""
 LARGE: Final = math.hypot(0.51, 0.43)
 """Diagonal of a Jackal (m): rooms, posts and tracks suit vehicles up to this size, and grow with larger ones."""
-TRIAL: Final = {"timeout": 60, "oneshot_timeout": 30}
 
 
 @dataclass(frozen=True)
@@ -305,7 +304,7 @@ def _world(kind: str, name: str, rng: np.random.Generator, size: Size, vehicle: 
     else:
         sections = _rounded(LAYOUTS[kind](rng, size, density))
     camera = {"sensing": {**SENSING, "camera": above(sections["bounds"])}}
-    return World(name, remark, {**sections, "vehicle": vehicle, **camera, "trial": TRIAL}, files)
+    return World(name, remark, {**sections, "vehicle": vehicle, **camera}, files)
 
 
 def _rounded(value: Any) -> Any:

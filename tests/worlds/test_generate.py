@@ -18,7 +18,7 @@ from kraft.evaluation.suite import load_suite
 from kraft.planning.feasibility import check_placement, geodesic_time
 from kraft.planning.plan import finds_plan, plan
 from kraft.planning.workspace import start_state
-from kraft.scenario import Box, OccupancyMap, load_scenario
+from kraft.scenario import Box, OccupancyMap, Trial, load_scenario
 from kraft.vehicles.load import load_vehicle
 from kraft.worlds import layouts
 from kraft.worlds.generate import ITERATIONS, KINDS, LARGE, LAYOUTS, MIXED, Size, generate, generate_worlds
@@ -96,6 +96,16 @@ def test_larger_vehicles_get_larger_worlds() -> None:
     huge = replace(load_vehicle("mushr"), footprint=Footprint(2.0, 1.0))
     assert Size.of(huge).scale == pytest.approx(math.hypot(2, 1) / math.hypot(0.51, 0.43))
     assert Size.of(huge).gap[0] > math.hypot(2, 1)
+
+
+def test_a_long_way_has_a_limit_of_time_of_three_least_times(tmp_path: Path) -> None:
+    usual, long = (
+        load_scenario(generate_worlds("corridor", tmp_path / str(seed), seed=seed).scenarios[0]) for seed in (7, 140)
+    )
+    assert usual.trial == Trial()
+    limit = math.ceil(3.0 * geodesic_time(long, load_vehicle("mushr")))
+    assert limit > Trial().timeout
+    assert (long.trial.timeout, long.trial.oneshot_timeout) == (limit, limit)
 
 
 @pytest.mark.parametrize("kind", ["rooms", "rows", "clutter"])
