@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -118,9 +118,11 @@ def evaluate(
     if resume and out is not None:
         check_resumable(Path(out), experiment, recorded)
     executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
-    _warn(experiment, observer.log)
+    warnings = tuple(_warnings(experiment))
+    for text in warnings:
+        observer.log(f"warning: {text}")
     _ensure_compiled(experiment, observer.log)
-    experiment = replace(experiment, bounds=_least_times(experiment))
+    experiment = replace(experiment, bounds=_least_times(experiment), warnings=warnings)
     if out is None:
         return _run_experiment(experiment, executor, None, observer, command_line)
     folder = (reopen if resume else create)(Path(out), experiment, recorded)
@@ -173,8 +175,8 @@ def check_arguments(
     return experiment
 
 
-def _warn(experiment: Experiment, log: MessageSink) -> None:
-    """Log each warning with the first entry that it concerns, and how many others there are."""
+def _warnings(experiment: Experiment) -> Iterator[str]:
+    """Each warning with the first entry that it concerns, and how many others there are."""
     for warning in WARNINGS:
         texts = ((cell.entry.name, warning(cell.scenario, cell.method, cell.vehicle)) for cell in experiment.cells)
         found = {name: text for name, text in texts if text}
@@ -182,7 +184,7 @@ def _warn(experiment: Experiment, log: MessageSink) -> None:
             continue
         name, text = next(iter(found.items()))
         more = f"; so it is in {counted(len(found) - 1, 'other entry')}" if len(found) > 1 else ""
-        log(f"warning: {name}: {text}{more}")
+        yield f"{name}: {text}{more}"
 
 
 def _ensure_compiled(experiment: Experiment, log: MessageSink) -> None:

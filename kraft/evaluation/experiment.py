@@ -72,7 +72,8 @@ class Cell:
 class Experiment:
     """Cells of an evaluation; each is run with the seeds `seed`, `seed + 1`, ... `seed + trials - 1`.
 
-    `bounds` are lower bounds of the time to the goal (s), by entry, as far as they are known.
+    `bounds` are lower bounds of the time to the goal (s), by entry, as far as they are known.  `warnings` say what is
+    probably a mistake.
     """
 
     cells: tuple[Cell, ...]
@@ -80,6 +81,7 @@ class Experiment:
     seed: int
     realtime: bool = False
     bounds: Mapping[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     @property
     def seeds(self) -> range:

@@ -24,7 +24,7 @@ OTHERS: Final = {
     "kraft.run-manifest/1": "one trial (kraft run)",
 }
 """What the other folders with a manifest are of, by its schema."""
-DESCRIPTIVE: Final = ("arguments", "began", "host", "bounds_s")
+DESCRIPTIVE: Final = ("arguments", "began", "host", "bounds_s", "warnings")
 """Keys that may differ when an evaluation is resumed."""
 TEXTS: Final = ("title", "description")
 """Keys of scenarios and methods that no result depends on."""
@@ -54,6 +54,7 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
         "seed": experiment.seed,
         "realtime": experiment.realtime,
         "bounds_s": {entry: round(seconds, 6) for entry, seconds in experiment.bounds.items()},
+        "warnings": list(experiment.warnings),
         "rows": [
             {
                 "entry": cell.entry.name,

@@ -43,6 +43,26 @@ def run(out: str = "out", *, trials: int = 3, **options: Any) -> Evaluation:
     return evaluate(trials=trials, seed=5, out=out, command_line=run_command, **arguments)
 
 
+def test_a_warning_is_kept_in_the_folder_and_shown_at_the_top_of_the_page(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    model = (ROOT / "configs" / "vehicles" / "f1tenth.yaml").read_text(encoding="utf-8")
+    Path("mine.yaml").write_text("\n".join(line for line in model.splitlines() if not line.startswith("truth:")))
+    arguments = ["eval", "turns", "slip", "--methods", "kraft", "--trials", "1", "--jobs", "1"]
+    assert main([*arguments, "--vehicle", "mine.yaml", "--out", "warned"]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    (told,) = [line.removeprefix("warning: ") for line in lines if line.startswith("warning: ")]
+    assert told.startswith("turns: the true robot is the MuSHR")
+    assert lines[-1] == "1 warning before the first trial, also at the top of the page"
+    assert json.loads(Path("warned/manifest.json").read_text())["warnings"] == [told]
+    for made in (Path("warned/report.html").read_text(encoding="utf-8"), page(read_results(Path("warned")))):
+        text = text_of(Tags(made))
+        assert text.index(f"Warning: {told}") < text.index("Overview")
+    assert main([*arguments, "--out", "silent"]) == 0
+    assert json.loads(Path("silent/manifest.json").read_text())["warnings"] == []
+    assert "Warning" not in text_of(Tags(Path("silent/report.html").read_text(encoding="utf-8")))
+
+
 def test_an_evaluation_ends_with_a_page_that_needs_nothing_else() -> None:
     run()
     text = Path("out/report.html").read_text(encoding="utf-8")

@@ -89,6 +89,8 @@ def _head(results: Results) -> Iterator[Content]:
     if failed:
         text = f"{counted(failed, 'trial')} failed, which is a defect in kraft: none counts as a success."
         yield element("p", text, class_="alarm")
+    for text in results.manifest.warnings:
+        yield element("p", element("b", "Warning: "), text, class_="alarm warning")
     yield element("dl", *(_fact(name, value) for name, value in _facts(results)), class_="facts")
 
 

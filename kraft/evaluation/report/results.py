@@ -75,6 +75,7 @@ class Manifest(_Part):
     seed: int
     realtime: bool
     bounds_s: dict[str, float] = {}
+    warnings: tuple[str, ...] = ()
     rows: tuple[RecordedCell, ...] = Field(min_length=1)
     scenarios: dict[str, Hashed]
     vehicles: dict[str, Any]
