@@ -14,6 +14,7 @@ import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import wrap
 
 from benchmarks import claims as paired
 from benchmarks.claims import Claim
@@ -21,6 +22,7 @@ from benchmarks.parallel import interval
 from kraft.errors import Code, InputError, KraftError
 from kraft.evaluation.experiment import METHODS
 from kraft.evaluation.report.results import Results, read_results
+from kraft.evaluation.statistics import SIGNIFICANT, fisher_p, holm
 from kraft.evaluation.summary import MANY, Result
 from kraft.evaluation.table import markdown
 from kraft.files import write_whole
@@ -34,7 +36,8 @@ HEADING = """# Results
 
 Written by `python -m benchmarks.results` from results folders of `kraft eval`; every section has the command that
 repeats it. Cells have the number of successes and of collisions ("hit"); the other trials reached the time limit. In
-brackets is the mean time of the successful trials. Intervals are Wilson's, 95 %.
+brackets is the mean time of the successful trials. Intervals are Wilson's, 95 %; those over all entries hold for other
+seeds of these entries, not for other worlds.
 """
 
 
@@ -224,18 +227,28 @@ def _counts(results: Sequence[Result]) -> str:
 
 
 def differences(found: Results) -> list[str]:
-    """Table of the rows that the paper has, with those whose interval does not contain the paper's rate marked."""
-    rows = [["", "", "found", "95 % interval", "paper", ""]]
-    for result in found.summary.results:
-        if result.paper is None:
-            continue
-        low, high = result.interval
-        rate = result.paper.success / result.paper.trials
-        verdict = "" if low <= rate <= high else "higher here" if low > rate else "lower here"
-        paper = f"{result.paper.success} of {result.paper.trials}"
-        ours = f"{result.success} of {result.trials}"
-        rows.append([result.entry, result.title, ours, interval(result.success, result.trials), paper, verdict])
-    return ["Successes beside the paper's:", "", *_markdown(rows), ""] if len(rows) > 1 else []
+    """Table of the rows that the paper has, with those marked whose success rate differs from the paper's."""
+    rows = [
+        (result, result.paper, fisher_p((result.success, result.trials), (result.paper.success, result.paper.trials)))
+        for result in found.summary.results
+        if result.paper is not None and result.trials
+    ]
+    if not rows:
+        return []
+    table = [["", "", "found", "95 % interval", "paper", "95 % interval", "p", ""]]
+    for (result, paper, p), adjusted in zip(rows, holm([p for *_, p in rows]), strict=True):
+        higher = result.success * paper.trials > paper.success * result.trials
+        verdict = "" if adjusted >= SIGNIFICANT else "higher here" if higher else "lower here"
+        table.append([
+            result.entry, result.title,
+            f"{result.success} of {result.trials}", interval(result.success, result.trials),
+            f"{paper.success} of {paper.trials}", interval(paper.success, paper.trials), f"{p:.2g}", verdict,
+        ])  # fmt: skip
+    text = (
+        f"Successes beside the paper's. p is that of Fisher's exact test (two-sided). The last column has what differs "
+        f"with p below {SIGNIFICANT:g} after Holm's adjustment for the number of rows of this table, {len(rows)}:"
+    )
+    return [*wrap(text, 120), "", *_markdown(table), ""]
 
 
 def claims_section(found: Sequence[Results]) -> list[str]:

@@ -64,6 +64,28 @@ def mcnemar(successes: Mapping[int, bool], reference: Mapping[int, bool]) -> McN
     return McNemar(gained, lost, float(binomtest(gained, discordant, 0.5).pvalue) if discordant else 1.0)
 
 
+def fisher_p(one: tuple[int, int], other: tuple[int, int]) -> float:
+    """Two-sided p-value of Fisher's exact test of two rates, each given as the successes of so many trials.
+
+    The trials are independent ones: those that are paired by their seeds are tested by `mcnemar`.
+    """
+    from scipy.stats import fisher_exact
+
+    return float(fisher_exact([[successes, trials - successes] for successes, trials in (one, other)]).pvalue)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """p-values of several tests, adjusted for their number by Holm's method, in the order in which they were given.
+
+    If each below 0.05 is taken as a difference, the probability of one that is none is at most 0.05 for all together.
+    """
+    adjusted, largest = [1.0] * len(p_values), 0.0
+    for rank, k in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
+        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[k]))
+        adjusted[k] = largest
+    return adjusted
+
+
 def percentile(values: Sequence[float], share: float) -> float | None:
     """Smallest value that at least `share` of the values do not exceed; None without values."""
     return float(np.quantile(values, share, method="inverted_cdf")) if values else None

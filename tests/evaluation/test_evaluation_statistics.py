@@ -10,7 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kraft.evaluation.statistics import (
+    fisher_p,
     grouped_share_interval,
+    holm,
     mcnemar,
     mean_difference_interval,
     mean_interval,
@@ -92,6 +94,26 @@ def test_mcnemar_has_the_known_value_of_six_to_none() -> None:
 def test_seeds_that_only_one_ran_do_not_count() -> None:
     found = mcnemar({0: True, 1: True, 5: True}, {0: False, 9: True})
     assert (found.gained, found.lost, found.p) == (1, 0, 1.0)
+
+
+@given(st.tuples(st.integers(0, 12), st.integers(0, 9)))
+def test_the_test_of_two_rates_is_the_sum_of_the_splits_that_are_no_likelier(successes: tuple[int, int]) -> None:
+    (a, b), n, m = successes, 12, 9
+    chances = [comb(n, k) * comb(m, a + b - k) / comb(n + m, a + b) for k in range(a + b + 1)]
+    assert fisher_p((a, n), (b, m)) == pytest.approx(sum(p for p in chances if p <= chances[a] * (1 + 1e-9)))
+
+
+def test_rates_that_wilsons_interval_holds_apart_may_be_equal() -> None:
+    """29 of 30 excludes a rate of 23 of 30 that is known exactly, but not one that 30 trials show."""
+    assert wilson(29, 30)[0] > 23 / 30
+    assert fisher_p((29, 30), (23, 30)) == pytest.approx(0.0523, abs=1e-4)
+
+
+def test_holms_adjustment_is_that_of_the_literature() -> None:
+    """Holm 1979: the smallest of n p-values times n, the next one times n - 1, none below the one before it."""
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.9, 0.6]) == [1.0, 1.0]
+    assert holm([]) == []
 
 
 @given(st.lists(st.floats(0, 1e3), min_size=1), st.floats(0.01, 1.0))

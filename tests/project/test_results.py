@@ -44,6 +44,20 @@ def test_the_document_has_the_counts_of_the_folder_and_the_command(folder: Path,
     assert "23 of 30" in text
 
 
+def test_successes_differ_from_the_papers_where_a_test_of_both_samples_says_so(folder: Path) -> None:
+    found = read_results(folder)
+    counts = {"kraft": 6, "oneshot-kinodynamic": 6, "conservative-kraft": 0}
+    rows = tuple(replace(each, success=counts[each.method]) for each in found.summary.results)
+    table = results.differences(replace(found, summary=replace(found.summary, results=rows)))
+    shown = {tuple(cells[:2]): cells[2:] for cells in (line.strip("|").split("|") for line in table if "|" in line)}
+    verdicts = {key: cells[-1].strip() for key, cells in shown.items()}
+    assert verdicts[" turns ", " Conservative KRAFT "] == "lower here"
+    low, high = wilson(6, 6)
+    assert not low <= 17 / 30 <= high, "an exact 17 of 30 would be excluded"
+    assert verdicts[" boxes ", " OneShot + Kinodynamic "] == ""
+    assert shown[" boxes ", " OneShot + Kinodynamic "][4].strip() == "0.068"
+
+
 def test_claims_are_tested_on_the_same_trials(folder: Path) -> None:
     found = read_results(folder)
     lines = results.claims(found)
