@@ -12,7 +12,7 @@ from kraft.config.overrides import parse_overrides, parse_sweeps
 from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.evaluation.evaluator import Evaluation, Observer, check_arguments, evaluate
 from kraft.evaluation.experiment import METHODS, SUITE, TRIALS
-from kraft.evaluation.folder import check_exists, default_path
+from kraft.evaluation.folder import check_empty, check_exists, default_path
 from kraft.evaluation.manifest import MANIFEST, read_manifest
 from kraft_cli.work.run import run_command
 
@@ -57,7 +57,7 @@ def complete_request(request: EvalRequest) -> EvalRequest:
     """Add the results folder, and when resuming, the options that were left out from the folder's manifest.
 
     Raises:
-        InputError: if the folder to resume does not exist, or its manifest lacks an option.
+        InputError: if the folder to resume does not exist, or does not say what to resume.
     """
     if request.resume:
         if request.out is None:
@@ -167,8 +167,18 @@ def _words(request: EvalRequest) -> list[str]:
 
 
 def _with_recorded_arguments(request: EvalRequest, path: Path) -> EvalRequest:
-    """Request with options that were left out taken from the manifest; the others are compared later."""
+    """Request with options that were left out taken from the manifest; the others are compared later.
+
+    Raises:
+        InputError: if the manifest lacks an option, or if there is none and the request has no scenarios: those of the
+            default suite may not be those with which the evaluation began.
+    """
     if not path.exists():
+        if not request.scenarios and request.suite is None:
+            check_empty(path.parent)
+            problem = f"has no {MANIFEST}, so that it does not say which evaluation to resume"
+            expected = "expected the options of the evaluation again, with scenarios or --suite (default: paper)"
+            raise InputError.of(str(path.parent), problem, expected, Code.MISSING)
         return request
     arguments = read_manifest(path).get("arguments")
     recorded = arguments if isinstance(arguments, dict) else {}

@@ -253,6 +253,23 @@ def test_a_folder_that_does_not_tell_what_was_not_said_is_refused(
     assert main(["eval", "slip", "--methods", "kraft", "--trials", "1", "--out", "o", "--resume"]) == 0
 
 
+def test_a_folder_without_a_manifest_is_not_taken_for_the_default_evaluation(
+    inline: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = Path("o")
+    out.mkdir()
+    (out / ".manifest.json.x.part").touch()  # what an evaluation leaves that was killed before its manifest
+    assert main(["eval", "--out", "o", "--resume", "--methods", "kraft", "--trials", "1"]) == 2
+    assert capsys.readouterr().err.startswith("o: has no manifest.json, so that it does not say which evaluation")
+    assert [path.name for path in out.iterdir()] == [".manifest.json.x.part"]
+    (out / "thesis.txt").touch()
+    assert main(["eval", "--out", "o", "--resume"]) == 2
+    assert "other files, such as thesis.txt" in capsys.readouterr().err
+    (out / "thesis.txt").unlink()
+    content = run_json(capsys, "slip", "--methods", "kraft", "--trials", "1", "--out", "o", "--resume")
+    assert [row["entry"] for row in content["results"]] == ["slip"]
+
+
 def test_a_failed_trial_ends_with_70_after_everything_else_is_done(
     inline: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
