@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ from pydantic import AfterValidator, Field, PlainValidator, PrivateAttr
 from pydantic_core import PydanticCustomError
 
 from kraft.config import bundled
+from kraft.config.document import read_bytes
 from kraft.config.schema import (
     Length,
     Name,
@@ -21,10 +23,11 @@ from kraft.config.schema import (
     build,
     describe,
     is_number,
-    read_model,
     refuse,
+    valid,
 )
 from kraft.config.source import Source
+from kraft.config.yaml_reader import parse_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles import DELAY_MAX
@@ -179,10 +182,17 @@ def load_vehicle_config(name_or_path: str | Path) -> VehicleConfig:
         InputError: with every problem of the file, or if there is no such name or file.
     """
     path = bundled.find("vehicle", name_or_path)
-    config, document = read_model(path, VehicleConfig)
-    config._source = document.source  # a private attribute, which a frozen model allows to set
-    if config.truth is not None and (problems := with_files(config.truth, path.parent, document.source)[1]):
+    config = _config_of(read_bytes(path), str(path))
+    if config.truth is not None and (problems := with_files(config.truth, path.parent, config.source)[1]):
         raise InputError(problems)
+    return config
+
+
+@lru_cache(maxsize=16)  # by its content: every row of an evaluation asks for it
+def _config_of(content: bytes, file: str) -> VehicleConfig:
+    document = parse_document(content, file)
+    config = valid(VehicleConfig, document)
+    config._source = document.source  # a private attribute, which a frozen model allows to set
     return config
 
 

@@ -50,7 +50,8 @@ def load_vehicle(
     if is_code(resolved):
         vehicle = with_parameters(vehicle_in_code(resolved, reference), values)
     else:
-        vehicle = configured(read_vehicle_file(resolved).with_values(values))
+        config = read_vehicle_file(resolved)
+        vehicle = configured(config.with_values(values) if values else config)
     check_functions(vehicle, reference)
     return vehicle
 

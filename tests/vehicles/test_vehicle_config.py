@@ -9,7 +9,9 @@ import pytest
 from support.diagnostics import located, raised
 
 from kraft.config import bundled
+from kraft.config.document import Document
 from kraft.errors import Code
+from kraft.vehicles import config
 from kraft.vehicles.config import Footprint, VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import load_vehicle, natural_robot
 from kraft.vehicles.mushr import MUSHR_LAG
@@ -232,3 +234,27 @@ def test_a_reference_is_a_name_a_path_or_a_module_and_attribute(tmp_path: Path) 
     for wrong in ("mushrr", "a.b:", ":C", "a b:C", "none.yaml", "", "x\0.yaml"):
         with pytest.raises(VehicleProblem):
             resolve_vehicle(wrong, tmp_path)
+
+
+def test_a_file_is_checked_again_only_after_it_has_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every row of an evaluation asks for its vehicle."""
+    checked: list[str] = []
+    check = config.valid
+
+    def counted(model: type[VehicleConfig], document: Document) -> VehicleConfig:
+        checked.append(document.source.file)
+        return check(model, document)
+
+    monkeypatch.setattr(config, "valid", counted)
+    path = tmp_path / "own.yaml"
+    path.write_bytes((bundled.folder("vehicle") / "mushr.yaml").read_bytes())
+    first, again = load_vehicle(str(path)), load_vehicle(str(path))
+    assert checked == [str(path)]
+    assert (again.parameters, again.footprint) == (first.parameters, first.footprint)
+    before = path.stat()
+    path.write_text(path.read_text().replace("top_speed: v_delta", "top_speed: 0.500"))
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert load_vehicle(str(path)).top_speed == 0.5
+    assert load_vehicle(str(path), parameters={"L": 0.3}).parameters["L"] == 0.3
+    assert load_vehicle(str(path)).parameters["L"] == first.parameters["L"]
+    assert checked == [str(path)] * 2
