@@ -37,8 +37,8 @@ class PairedRow:
             of the exact sign-flip test over entries.
         both: number of pairs in which both trials succeeded.
         time_difference: mean difference of the durations of these pairs, s; None without any.
-        time_interval: bootstrapped 95 % interval of that, over pairs, or for all entries over entries; None where
-            bootstrapping cannot judge it.
+        time_interval: Student's 95 % interval of that, over pairs, or for all entries over entries; None with fewer
+            than three of them, or if they are all the same.
         digests: number of pairs that have digests of both drives.
         identical: number of those whose drives are the same, bit by bit.
         same_scenario: whether the content of the scenario is the same in both evaluations; of all entries, in each.

@@ -37,7 +37,7 @@ MEANINGS: Final = {
     "p": "exact McNemar test of the successes; of all entries the exact sign-flip test over entries",
     "both": "pairs in which both succeeded",
     "dT s": "mean of the time in B minus that in A over these pairs",
-    "dT 95 % CI": "its interval, bootstrapped over pairs; of all entries over entries",
+    "dT 95 % CI": "its interval, Student's, over pairs; of all entries over entries",
     "same": "pairs whose drives are the same, bit by bit",
 }
 """What the columns hold whose heading does not say it."""

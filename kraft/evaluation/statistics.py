@@ -196,19 +196,27 @@ def grouped_share_interval(
 def mean_difference_interval(
     differences: Sequence[float], groups: Sequence[Hashable], confidence: float = 0.95
 ) -> tuple[float, float] | None:
-    """Interval of the mean of differences between pairs, each with the group that it belongs to.
+    """Student's t interval of the mean of differences between pairs, each with the group that it belongs to.
 
-    It is bootstrapped over groups (BCa, 9,999 resamples), in which pairs are alike; pairs that are independent have a
-    group each.  None with fewer than three groups, or with the same mean in all of them, which bootstrapping cannot
-    judge.
+    Pairs of a group are alike, and pairs that are independent have a group each.  The variance is that of a ratio, of
+    the sums of the groups over their sizes, linearised (Cochran 1977, Sampling techniques, section 6.4).  A bootstrap
+    of so few groups as there often are would be too narrow: of three, its interval has the true mean in 70 % of cases.
+    None with fewer than three groups, or with the same mean in all of them.
     """
+    from scipy.special import stdtrit
+
     number = {group: k for k, group in enumerate(dict.fromkeys(groups))}
     sums, sizes = np.zeros(len(number)), np.zeros(len(number))
     for difference, group in zip(differences, groups, strict=True):
         sums[number[group]] += difference
         sizes[number[group]] += 1
-    interval = _share_bootstrap(sums, sizes, confidence)
-    return interval if interval is not None and np.isfinite(interval).all() else None
+    n = len(number)
+    if n < 3 or np.ptp(sums / sizes) == 0.0:
+        return None
+    mean = sums.sum() / sizes.sum()
+    error = np.sqrt(n / (n - 1) * np.square(sums - mean * sizes).sum()) / sizes.sum()
+    half = stdtrit(n - 1, (1 + confidence) / 2) * error
+    return float(mean - half), float(mean + half)
 
 
 def _share_bootstrap(values: Floats, sizes: Floats, confidence: float) -> tuple[float, float] | None:

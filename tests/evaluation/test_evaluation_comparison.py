@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -96,7 +97,8 @@ def test_trials_are_paired_by_entry_method_and_seed(versions: Comparison) -> Non
     assert turns.time_difference == pytest.approx((0.5 - 0.1 + 0.2 + 0.0) / 4)
     assert turns.time_interval is not None
     low, high = turns.time_interval
-    assert -0.1 <= low < 0.15 < high <= 0.5
+    assert (low + high) / 2 == pytest.approx(0.15)
+    assert (high - low) / 2 == pytest.approx(3.1824 * math.sqrt(0.07) / 2, rel=1e-4)  # t of three degrees of freedom
     assert (turns.digests, turns.identical) == (10, 1)  # seed 5 alone has the same outcome and time in both
 
 
