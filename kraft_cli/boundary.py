@@ -98,7 +98,7 @@ def _explained(terminal: Terminal, error: Exception) -> ExitStatus:
     if isinstance(error, typer.TyperException):
         return _explain_usage(terminal, error)
     if isinstance(error, CacheError):
-        terminal.problem(f"{error}; expected a writable folder in KRAFT_CACHE_DIR")
+        terminal.problem(str(error))
         return ExitStatus.INVALID
     if isinstance(error, KraftError) and not isinstance(error, Defect):
         terminal.error(str(error))

@@ -6,8 +6,8 @@ from pathlib import Path
 
 
 class CacheError(OSError):
-    """The cache folder `folder` is not writable, because of `reason`."""
+    """The cache folder `folder` is of no use: `problem` says why, and `expected` what is to be done."""
 
-    def __init__(self, folder: Path, reason: str) -> None:
-        super().__init__(f"{folder}: the kernel cache cannot be written: {reason}")
-        self.folder, self.reason = folder, reason
+    def __init__(self, folder: Path, problem: str, expected: str) -> None:
+        super().__init__(f"{folder}: the kernel cache {problem}; {expected}")
+        self.folder, self.problem, self.expected = folder, problem, expected

@@ -24,13 +24,14 @@ from __future__ import annotations
 import gc
 import hashlib
 import os
+import pickle
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 
 import numba
 from numba import types
@@ -51,6 +52,10 @@ _event: Any = event
 _compiler_lock: Any = global_compiler_lock
 _host_features: Any = get_host_cpu_features
 F = TypeVar("F", bound=Callable[..., object])
+
+WRITABLE: Final = "expected a writable folder with enough space in KRAFT_CACHE_DIR"
+DAMAGED: Final = (EOFError, pickle.UnpicklingError)
+"""Errors of cached files that are empty, cut off or full of zeros, as after a loss of power."""
 
 
 class _NoCollections(event.Listener):
@@ -88,17 +93,37 @@ if _config.CPU_FEATURES is None and _config.CPU_NAME is None:  # otherwise the u
 def cache_root() -> Path:
     """Folder that holds all compiled kernels: `$KRAFT_CACHE_DIR`, else the user's cache folder.
 
-    If no home folder is writable (containers with a read-only home), it is a folder of the user under the system's
-    temporary directory, so that kernels are still compiled only once per machine.
+    If no home folder is writable (containers with a read-only home, services without one, `sudo` with the home of
+    another user), it is a folder of the user under the system's temporary directory, so that kernels are still compiled
+    only once per machine.
     """
     explicit = os.environ.get("KRAFT_CACHE_DIR")
     if explicit:
         return Path(explicit)
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    nearest = next(p for p in (base, *base.parents) if p.exists())
-    if os.access(nearest, os.W_OK):
+    base = _user_cache()
+    if base is not None and _may_write(base):
         return base / "kraft"
+    return _temporary_root()
+
+
+def _temporary_root() -> Path:
     return Path(tempfile.gettempdir()) / f"kraft-{os.getuid()}"
+
+
+def _user_cache() -> Path | None:
+    """The user's cache folder; None for a user that the system does not know, without HOME."""
+    if given := os.environ.get("XDG_CACHE_HOME"):
+        return Path(given)
+    try:
+        return Path.home() / ".cache"
+    except RuntimeError:
+        return None
+
+
+def _may_write(folder: Path) -> bool:
+    """Whether a folder can be written, or made; not below a folder that this user must not enter."""
+    nearest = next(path for path in (folder, *folder.parents) if os.path.exists(path))  # False without permission
+    return os.access(nearest, os.W_OK | os.X_OK)
 
 
 @cache
@@ -118,17 +143,51 @@ def cache_folder(vehicle_hash: str = "") -> Path:
 
 
 def check_cache(folder: Path) -> None:
-    """Make a cache folder and check that it is writable.
+    """Make a cache folder and check that it is writable, and that nobody else has made the one for temporary files.
 
     Raises:
-        CacheError: the folder is not writable.
+        CacheError: the folder is not writable, or another user could put code into it.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise CacheError(folder, error.strerror or str(error)) from None
+        raise _unwritable(folder, error) from None
+    check_owner()
+
+
+def check_owner() -> None:
+    """Check that the cache is this user's where every user may make files, among the temporary ones.
+
+    Raises:
+        CacheError: another user has made its folder, and could put code into it.
+    """
+    root = cache_root()
+    if root == _temporary_root() and os.path.lexists(root) and root.lstat().st_uid != os.getuid():
+        raise CacheError(root, "belongs to another user, whose code would be run", WRITABLE)
+
+
+def _unwritable(folder: Path, error: OSError) -> CacheError:
+    return CacheError(folder, f"cannot be written: {error.strerror or error}", WRITABLE)
+
+
+@contextmanager
+def _cache_errors(folder: Path) -> Iterator[None]:
+    """Name the cache in errors of numba that reads and writes it: these name neither a file nor what to do.
+
+    Raises:
+        CacheError: a file in `folder` is damaged or cannot be written.
+    """
+    try:
+        yield
+    except CacheError:  # of a function that is compiled as a part
+        raise
+    except DAMAGED as error:
+        advice = "delete this folder, and kraft compiles again"
+        raise CacheError(cache_folder().parent, f"has damaged files: {error}", advice) from error
+    except OSError as error:
+        raise _unwritable(folder, error) from error
 
 
 def compiled(function: F, *, folder: Path | None = None, signature: object = None, nogil: bool = True) -> F:
@@ -139,25 +198,41 @@ def compiled(function: F, *, folder: Path | None = None, signature: object = Non
     With a `signature` it is compiled, or loaded from the cache, at once; otherwise on its first call.
 
     Raises:
-        CacheError: `folder` is not writable.
+        CacheError: `folder` is not writable, or a file in it is damaged.
     """
     target = folder or cache_folder()
     check_cache(target)
     with _caching_in(target):
-        dispatcher: F = _njit(signature, cache=True, error_model="numpy", nogil=nogil, _nrt=False)(function)
-    return dispatcher
+        dispatcher: Any = _njit(signature, cache=True, error_model="numpy", nogil=nogil, _nrt=False)(function)
+    dispatcher.__class__ = _Kernel
+    return cast(F, dispatcher)
 
 
 @contextmanager
 def _caching_in(folder: Path) -> Iterator[None]:
-    """Make numba cache in `folder` what is decorated meanwhile; other threads that compile wait."""
-    with _compiler_lock:
+    """Make numba cache in `folder` what is decorated meanwhile; other threads that compile wait.
+
+    Raises:
+        CacheError: a file in `folder` is damaged or cannot be written.
+    """
+    with _compiler_lock, _cache_errors(folder):
         before = _config.CACHE_DIR
         _config.CACHE_DIR = str(folder)  # read once, when njit attaches the cache
         try:
             yield
         finally:
             _config.CACHE_DIR = before
+
+
+class _Kernel(CPUDispatcher):
+    """Function for use from Python, whose machine code is kept on disk."""
+
+    _cache: Any  # numba's stubs lack it
+
+    def compile(self, sig: Any) -> Any:
+        """Compile for a signature, or load what is cached."""
+        with _cache_errors(Path(self._cache.cache_path)):
+            return super().compile(sig)
 
 
 class _Part(CPUDispatcher):
@@ -182,7 +257,8 @@ class _Part(CPUDispatcher):
         if self.is_shared and not self.is_cached:
             with _caching_in(cache_folder()):
                 self.enable_caching()
-        return super().compile(sig)
+        with _cache_errors(cache_folder()):
+            return super().compile(sig)
 
     @property
     def is_shared(self) -> bool:

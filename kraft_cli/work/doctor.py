@@ -18,6 +18,7 @@ from kraft.files import check_writable
 from kraft.gl import BACKENDS
 from kraft.provenance import install_command
 from kraft.text import counted
+from ompl_ext.cache_error import CacheError
 from ompl_ext.cores import usable_cores
 
 State: TypeAlias = Literal["ok", "note", "missing"]
@@ -124,12 +125,15 @@ def _processor() -> Finding:
 
 def _cache() -> Finding:
     """Folder of the compiled kernels, and whether it can be written."""
-    from ompl_ext.jit import cache_root
+    from ompl_ext.jit import cache_root, check_owner
 
     folder = cache_root().absolute()
     try:
         check_writable(folder / "kernels" / "new")
+        check_owner()
         return Finding("kernel cache", "ok", str(folder))
+    except CacheError as error:
+        return Finding("kernel cache", "missing", str(error))
     except InputError:
         advice = "set KRAFT_CACHE_DIR to a writable folder"
         return Finding("kernel cache", "missing", f"{folder} cannot be written; {advice}")

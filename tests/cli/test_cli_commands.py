@@ -21,6 +21,7 @@ from kraft.scenario.planners import PLANNERS
 from kraft_cli.main import main
 from kraft_cli.work import doctor as environment
 from kraft_cli.work.doctor import REQUIRED, Finding
+from ompl_ext.cache_error import CacheError
 from ompl_ext.vehicle import Vehicle
 
 GOOD = """name: x
@@ -363,6 +364,14 @@ def test_the_doctor_tries_whether_the_cache_can_be_written(monkeypatch: pytest.M
     monkeypatch.setenv("KRAFT_CACHE_DIR", str(tmp_path / "new"))
     assert environment._cache().state == "ok"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_doctor_refuses_a_cache_that_another_user_has_made(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def of_another_user() -> None:
+        raise CacheError(tmp_path, "belongs to another user", "expected another folder")
+
+    monkeypatch.setattr("ompl_ext.jit.check_owner", of_another_user)
+    assert environment._cache().state == "missing"
 
 
 @pytest.mark.parametrize("backend", ["foo", "glfw"])
