@@ -19,13 +19,13 @@ from benchmarks.effort import Effort
 from benchmarks.exact import Body
 from benchmarks.random_scenes import RandomScene, random_scene, random_start, vehicle_named
 from benchmarks.report import Report, Target, row
+from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Kinodynamic, OpenLoop
 from kraft.driving.messages import Cycle, Estimate, Reference, ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
-from kraft.driving.vehicle_model import CarModel
 from kraft.planning.compilation import ensure_compiled
 from ompl_ext.arrays import Floats
 from ompl_ext.query import Safety, Settings

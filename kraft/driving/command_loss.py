@@ -15,9 +15,10 @@ from typing import Final
 
 import numpy as np
 
+from kraft.driving.car_model import model_of
 from kraft.driving.messages import PredictedMotion
 from kraft.driving.references import plan_reference
-from kraft.driving.vehicle_model import braking_control, model_of
+from kraft.driving.vehicle_model import braking_control
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver

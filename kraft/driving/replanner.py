@@ -16,6 +16,7 @@ import numpy as np
 
 from kraft.driving.blockage import Blockage
 from kraft.driving.bound import BoundCalibration, DeviationBound
+from kraft.driving.car_model import model_of
 from kraft.driving.contingencies import Begin, ContingencyRanking, TrackedContingency, emergency_reference
 from kraft.driving.control import Controller, set_map
 from kraft.driving.messages import (  # fmt: skip
@@ -35,7 +36,7 @@ from kraft.driving.proposer import RECOVERY_MARGIN, Proposal, Proposer
 from kraft.driving.references import at_rest, contingency_reference, plan_reference, standing_reference
 from kraft.driving.room import nearest_free, place_with_room, refusal
 from kraft.driving.solvers import Solvers
-from kraft.driving.vehicle_model import VehicleModel, model_of
+from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Polygon
 from ompl_ext.plan import Plan

@@ -15,7 +15,8 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.vehicle_model import VehicleModel, model_of
+from kraft.driving.car_model import model_of
+from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError, NegativeResult
 from kraft.recording.area import PATH_STEP
 from kraft.recording.element import Element, in_words, library, sampled

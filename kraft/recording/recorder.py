@@ -18,7 +18,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from kraft.driving.vehicle_model import VehicleModel, model_of
+from kraft.driving.car_model import model_of
+from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.files import new_folder, write_csv, write_json
 from kraft.planning.search import check_seed

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from kraft.driving.vehicle_model import CarModel, model_of
+from kraft.driving.car_model import CarModel, model_of
 from kraft.errors import Code, InputError
 from kraft.robot.messages import ACKERMANN, JOINTS, header, joints, make
 from kraft.robot.robot_file import Robot

@@ -19,6 +19,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Final
 
+from kraft.driving.car_model import model_of
 from kraft.driving.control import make_controller, needs_map
 from kraft.driving.estimation import make_estimator
 from kraft.driving.estimation.adaptive import AdaptiveEstimator
@@ -26,7 +27,6 @@ from kraft.driving.messages import Cycle, Estimate, ReferenceKind
 from kraft.driving.method import Method, Oracle
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
-from kraft.driving.vehicle_model import model_of
 from kraft.errors import Code, Diagnostic, InputError, KraftError
 from kraft.files import LineFile
 from kraft.planning.feasibility import geodesic_time, goal_hit

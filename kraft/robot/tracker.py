@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from kraft.driving.car_model import model_of
 from kraft.driving.control import make_controller
 from kraft.driving.estimation import make_estimator
 from kraft.driving.estimation.adaptive import AdaptiveEstimator, Learned
@@ -17,7 +18,6 @@ from kraft.driving.messages import Commitment, Estimate, Observation, Reference,
 from kraft.driving.method import Oracle
 from kraft.driving.on_board import OnBoard
 from kraft.driving.references import at_rest, standing_reference
-from kraft.driving.vehicle_model import model_of
 from kraft.robot.command import CommandCodec
 from kraft.robot.inputs import Inputs
 from kraft.robot.messages import to_cdr

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import mujoco
 
-from kraft.driving.vehicle_model import interpolate
+from kraft.driving.car_model import interpolate
 from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.scenario.truth import VehicleGap
 from kraft.simulation import contacts

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from kraft.driving.car_model import model_of
 from kraft.driving.control import make_controller
 from kraft.driving.control_settings import OpenLoop
 from kraft.driving.estimation import Estimator, make_estimator
@@ -21,7 +22,6 @@ from kraft.driving.method import Oracle
 from kraft.driving.on_board import OnBoard
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
-from kraft.driving.vehicle_model import model_of
 from kraft.planning.workspace import start_state
 from kraft.simulation.true_world import TrueWorld, world_of
 from kraft.trial.cause import Cause, CauseKind, collision_cause, timeout_cause

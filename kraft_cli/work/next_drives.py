@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from kraft.driving.vehicle_model import VehicleModel, model_of
+from kraft.driving.car_model import model_of
+from kraft.driving.vehicle_model import VehicleModel
 from kraft.elapsed import elapsed_time
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
 from kraft.files import check_new_folder

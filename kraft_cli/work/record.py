@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
-from kraft.driving.vehicle_model import VehicleModel, model_of
+from kraft.driving.car_model import model_of
+from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
 from kraft.files import check_new_folder
 from kraft.planning.compilation import ensure_compiled

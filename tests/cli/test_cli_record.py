@@ -14,7 +14,7 @@ from support.paths import ROOT
 from support.recorded import contents
 
 from kraft.config import bundled
-from kraft.driving.vehicle_model import model_of
+from kraft.driving.car_model import model_of
 from kraft.recording import experiment, recorder
 from kraft.recording.recorder import Recorder
 from kraft.scenario import load_scenario

@@ -13,6 +13,7 @@ import pytest
 from support.adaptive import BEGIN, OTHER, correlated, driven, exciting, pose_at, standing, vehicle
 from support.driving import RATE
 
+from kraft.driving.car_model import CarModel
 from kraft.driving.estimation import make_estimator
 from kraft.driving.estimation.adaptive import AdaptiveEstimator, online_parameters
 from kraft.driving.estimation.correlated_filter import MOVED_AFTER
@@ -20,7 +21,6 @@ from kraft.driving.estimation.pose_filter import ProcessModel
 from kraft.driving.estimation.sliding_window import SIGNIFICANT
 from kraft.driving.messages import Estimate, Observation, PoseBelief
 from kraft.driving.method import Adaptive
-from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
 from kraft.vehicles.benchmark import BENCHMARK
 from ompl_ext.arrays import Floats, Matrix

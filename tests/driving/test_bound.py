@@ -11,13 +11,13 @@ import pytest
 from support.replanner import mushr, proposals, replanner, share_kept, start
 
 from kraft.driving.bound import UNCORRECTED, BoundCalibration, DeviationBound, radius_quantiles, turning_error
+from kraft.driving.car_model import model_of
 from kraft.driving.levels import HYSTERESIS, STEADY
 from kraft.driving.messages import Commitment, Estimate, PredictedMotion, ReferenceKind, Uncertainty
 from kraft.driving.method import CalibratedBound
 from kraft.driving.proposer import Proposal
 from kraft.driving.references import standing_reference
 from kraft.driving.replanner import Replanner
-from kraft.driving.vehicle_model import model_of
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import OpenLoopErrors
 

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from support.replanner import drive, replanner, start, turns
 
+from kraft.driving.car_model import model_of
 from kraft.driving.command_loss import SHARES, CommandLoss
 from kraft.driving.messages import Estimate, PredictedMotion, ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.proposer import Proposer
 from kraft.driving.solvers import Solvers
-from kraft.driving.vehicle_model import braking_control, model_of
+from kraft.driving.vehicle_model import braking_control
 from kraft.planning.workspace import start_state
 from kraft.scenario import load_scenario
 from kraft.vehicles.load import load_vehicle

@@ -23,10 +23,11 @@ from support.driving import (
     track,
 )
 
+from kraft.driving.car_model import CarModel
 from kraft.driving.control import Controller, make_controller
 from kraft.driving.control_settings import Geometric, Kinodynamic, OpenLoop
 from kraft.driving.messages import Estimate, Reference, ReferenceKind, Stop
-from kraft.driving.vehicle_model import CarModel, stop_control
+from kraft.driving.vehicle_model import stop_control
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 

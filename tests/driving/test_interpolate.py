@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kraft.driving.vehicle_model import interpolate
+from kraft.driving.car_model import interpolate
 
 
 def test_it_is_numpys_also_at_the_knots_and_beyond_the_ends() -> None:

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from support.diagnostics import raised
 
+from kraft.driving.car_model import CarModel, model_of
 from kraft.driving.control import LqrController, make_controller, needs_steps, settings_for
 from kraft.driving.control.lqr import check_controllable
 from kraft.driving.control_settings import Geometric, Kinodynamic, Lqr, OpenLoop
 from kraft.driving.messages import Estimate, Reference, ReferenceKind, Stop
 from kraft.driving.method import load_method
-from kraft.driving.vehicle_model import CarModel, VehicleModel, model_of, stop_control
+from kraft.driving.vehicle_model import VehicleModel, stop_control
 from kraft.errors import Code
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.driving import PROMPT, car, slow_car
 
-from kraft.driving.vehicle_model import SETTLING_TIME, CarModel, model_of
+from kraft.driving.car_model import SETTLING_TIME, CarModel, model_of
 from kraft.errors import Code, InputError
 from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.load import load_vehicle

@@ -15,6 +15,7 @@ import pytest
 from support.diagnostics import raised
 from support.replanner import mushr, start, turns
 
+from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
 from kraft.driving.control.nmpc import NmpcController
 from kraft.driving.control.nmpc_problem import symbolic_derivative_of
@@ -24,7 +25,6 @@ from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.method import PlannerSettings
 from kraft.driving.references import contingency_reference, plan_reference
 from kraft.driving.solvers import Solvers
-from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, MissingDependency
 from kraft.scenario.loader import load_scenario
 from kraft.vehicles.benchmark import BENCHMARK

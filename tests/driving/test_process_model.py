@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from kraft.driving.car_model import model_of
 from kraft.driving.estimation.pose_filter import ProcessModel
-from kraft.driving.vehicle_model import model_of
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats, Matrix
 

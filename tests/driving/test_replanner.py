@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support.replanner import FARSIGHTED, MARGIN, drive, mushr, replanner, start, turns
 
+from kraft.driving.car_model import CarModel
 from kraft.driving.contingencies import emergency_reference
 from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Geometric
@@ -17,7 +18,6 @@ from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.replanner import Replanner
 from kraft.driving.room import NEARBY, free_by
 from kraft.driving.solvers import Solvers
-from kraft.driving.vehicle_model import CarModel
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import box
 from ompl_ext.poses import poses_of

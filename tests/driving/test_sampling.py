@@ -14,6 +14,7 @@ from support.diagnostics import raised
 from support.replanner import drive, mushr, share_kept, start, turns
 
 from kraft.driving.bound import DeviationBound
+from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller, sampling, set_map
 from kraft.driving.control.sampling import DwaController, MppiController, Rollouts, Updates, updated
 from kraft.driving.control_settings import Dwa, Kinodynamic, Mppi, Nmpc
@@ -24,7 +25,6 @@ from kraft.driving.proposer import Proposer
 from kraft.driving.references import contingency_reference, plan_reference
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers, method_safety
-from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
 from ompl_ext.arrays import Floats, Floats32Cube
 from ompl_ext.kernels.costtogo import UNREACHABLE

@@ -22,10 +22,10 @@ from support.adaptive import (
 )  # fmt: skip
 from support.driving import RATE
 
+from kraft.driving.car_model import CarModel
 from kraft.driving.estimation.drive_history import DriveHistory, RecordedDrive
 from kraft.driving.estimation.pose_noise import NoiseEstimate
 from kraft.driving.estimation.sliding_window import Identified
-from kraft.driving.vehicle_model import CarModel
 from kraft.sysid.interface import Noise
 
 INTERVAL = 2.5  # standard deviations, 99 %

@@ -10,13 +10,13 @@ import pytest
 from support.adaptive import BEGIN, correlated, driven, exciting, pose_at, vehicle
 from support.driving import RATE
 
+from kraft.driving.car_model import CarModel
 from kraft.driving.estimation import CameraModel
 from kraft.driving.estimation.adaptive import HOLDS, AdaptiveEstimator, Learned, online_parameters
 from kraft.driving.estimation.drive_history import RecordedDrive
 from kraft.driving.estimation.sliding_window import Identified
 from kraft.driving.estimation.sloping_floor import SLOPE, ConstantOfDrive, slope_deviations, slope_told
 from kraft.driving.method import Adaptive
-from kraft.driving.vehicle_model import CarModel
 from kraft.scenario import Sensing
 from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.scenario.truth import Tilt

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support.replanner import FARSIGHTED, MARGIN, mushr, replanner, start
 
+from kraft.driving.car_model import CarModel, model_of
 from kraft.driving.contingencies import emergency_reference
 from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Kinodynamic
@@ -17,7 +18,7 @@ from kraft.driving.method import PlannerSettings
 from kraft.driving.on_board import OnBoard
 from kraft.driving.references import holding_control, manoeuvre_reference, plan_reference
 from kraft.driving.replanner import Replanner
-from kraft.driving.vehicle_model import CarModel, model_of, stop_control, stop_controls
+from kraft.driving.vehicle_model import stop_control, stop_controls
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Workspace

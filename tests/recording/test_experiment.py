@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kraft.driving.vehicle_model import model_of
+from kraft.driving.car_model import model_of
 from kraft.errors import Code, InputError, NegativeResult
 from kraft.logs.log import Log, Part
 from kraft.recording import experiment

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from kraft.driving.car_model import CarModel
 from kraft.driving.messages import Commitment, Estimate, Reference, ReferenceKind
 from kraft.driving.method import load_method
 from kraft.driving.references import manoeuvre_reference
-from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code, InputError
 from kraft.robot.command import CommandCodec, limited, unit_problem, unit_warnings
 from kraft.robot.control import Control

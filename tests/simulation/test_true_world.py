@@ -12,7 +12,7 @@ import pytest
 from support.diagnostics import located, raised
 from support.paths import ROOT
 
-from kraft.driving.vehicle_model import model_of
+from kraft.driving.car_model import model_of
 from kraft.errors import Code, InputError
 from kraft.planning.workspace import workspace_of
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario

@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from kraft.driving.car_model import CarModel
 from kraft.driving.control import Controller
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.references import plan_reference
-from kraft.driving.vehicle_model import CarModel
 from kraft.planning.plan import plan_task
 from kraft.planning.search import Budget
 from kraft.scenario import load_scenario

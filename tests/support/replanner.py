@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 
 from kraft.driving.bound import DeviationBound
+from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Kinodynamic, OpenLoop
 from kraft.driving.messages import Cycle, Estimate, Uncertainty
@@ -16,7 +17,6 @@ from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.proposer import Proposal, Proposer
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
-from kraft.driving.vehicle_model import CarModel
 from kraft.planning.workspace import start_state
 from kraft.scenario import Task, load_scenario
 from kraft.vehicles.load import load_vehicle

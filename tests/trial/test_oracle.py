@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from support.diagnostics import raised
 
+from kraft.driving.car_model import CarModel
 from kraft.driving.method import load_method
-from kraft.driving.vehicle_model import CarModel
 from kraft.errors import Code
 from kraft.scenario import load_scenario
 from kraft.scenario.truth import VehicleGap

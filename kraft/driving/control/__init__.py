@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from kraft.driving.car_model import CarModel
 from kraft.driving.control.lqr import LqrController, check_controllable
 from kraft.driving.control.nmpc import NmpcController
 from kraft.driving.control.nmpc_problem import casadi_of
@@ -20,7 +21,7 @@ from kraft.driving.control_settings import (  # fmt: skip
 )
 from kraft.driving.messages import Controller, Estimate, Reference, ReferenceKind
 from kraft.driving.method import Adaptive, Method
-from kraft.driving.vehicle_model import CarModel, VehicleModel
+from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.vehicles import is_car
 from ompl_ext.arrays import Floats

@@ -14,9 +14,9 @@ from typing import Final
 
 import numpy as np
 
+from kraft.driving.car_model import CarModel
 from kraft.driving.control_settings import Geometric, Kinodynamic
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
-from kraft.driving.vehicle_model import CarModel
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.checker import EdgeChecker
 from ompl_ext.kernels import tracking as at
