@@ -16,6 +16,7 @@ from ompl_ext.obstacles import Workspace
 from ompl_ext.plan import Contingency, Plan
 from ompl_ext.query import Goal, Safety, Settings
 from ompl_ext.system import SimpleSetup, simple_setup
+from ompl_ext.times import SAME_TIME
 from ompl_ext.validity import SafetyValidityChecker
 from ompl_ext.vehicle import Vehicle
 
@@ -129,5 +130,5 @@ def _contingency(setup: SimpleSetup, times: Floats, trajectory: Matrix, safety: 
     """Contingency at the end of the cycle; None is possible because OMPL's planners do not use SAFETY."""
     checker = setup.getStateValidityChecker()
     assert isinstance(checker, SafetyValidityChecker)
-    k = min(int(np.searchsorted(times, safety.cycle - 1e-9)), len(times) - 1)
+    k = min(int(np.searchsorted(times, safety.cycle - SAME_TIME)), len(times) - 1)
     return checker.safety_from(trajectory[k], float(times[k]))

@@ -9,6 +9,7 @@ import numpy as np
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.kernel_types import Tree
+from ompl_ext.times import SAME_TIME
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,8 @@ class Plan:
     def head(self, until: float) -> Plan:
         """The plan up to the end of the edge that is held at `until` s, with the cost of the whole one."""
         ends = np.cumsum(self.durations)
-        edges = min(len(ends), int(np.searchsorted(ends, until - 1e-9)) + 1)
-        samples = int(np.searchsorted(self.times, ends[edges - 1] + 1e-9)) if len(ends) else 1
+        edges = min(len(ends), int(np.searchsorted(ends, until - SAME_TIME)) + 1)
+        samples = int(np.searchsorted(self.times, ends[edges - 1] + SAME_TIME)) if len(ends) else 1
         return replace(
             self,
             states=self.states[: edges + 1],

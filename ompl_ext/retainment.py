@@ -13,6 +13,7 @@ from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.kernel_types import Q_DIM, WAITING, Retained, Tree
 from ompl_ext.kernels.tree_memory import add_descendants, keep_with_ancestors, path_along
 from ompl_ext.plan import Plan
+from ompl_ext.times import SAME_TIME
 
 ROUNDING = 1e-9  # share of a control's range by which rounding may carry it beyond a bound
 
@@ -48,7 +49,7 @@ def retainable_edges(tree: Tree, plan: Plan, targets: Matrix, elapsed: float, li
     size = int(tree.count[at.SIZE])
     on_path = np.full(size, -2)  # index of the edge to a node, -2 for nodes that are not retained
     begun = elapsed - float(plan.durations[:first].sum())
-    if begun < 1e-9 and first < len(path):
+    if begun < SAME_TIME and first < len(path):
         on_path[path[first]] = -1  # an edge begins where the query begins
     for k, node in enumerate(path[first + 1 :]):
         on_path[node] = k
@@ -88,7 +89,7 @@ def remaining_edges(
     more than `longest` s becomes several, as by `divided_edges`.  Parents are indices of edges, -1 for the root.
     """
     ends = np.cumsum(durations)
-    left = ends > elapsed + 1e-9
+    left = ends > elapsed + SAME_TIME
     durations = np.minimum(durations, ends - elapsed)[left]
     return divided_edges(range(-1, len(durations) - 1), controls[left], durations, longest)
 

@@ -15,6 +15,7 @@ from ompl_ext.plan import Plan
 from ompl_ext.poses import poses_of
 from ompl_ext.retainment import are_beyond
 from ompl_ext.solver import DirtSolver
+from ompl_ext.times import SAME_TIME
 
 TOLERANCE = 1e-6  # tolerance of FCL's distances (m)
 FINE = 16  # subdivisions of a step between samples
@@ -153,7 +154,7 @@ class _Clearance:
 
 
 def _within_cycle(dirt: DirtSolver, plan: Plan) -> Bools:
-    return plan.times <= dirt.safety.cycle + 1e-9
+    return plan.times <= dirt.safety.cycle + SAME_TIME
 
 
 def _clearance_violations(
@@ -161,8 +162,8 @@ def _clearance_violations(
 ) -> list[Violation]:
     """Violation at the sample that violates delta(v) most, if any does."""
     speed = np.abs(states[:, dirt.vehicle.rest_indices[0]]) if dirt.vehicle.rest else np.zeros(len(states))
-    rounding = 1e-9  # of the time at which another clearance begins
-    delta = np.minimum(dirt.safety.clearance(speed, times - rounding), dirt.safety.clearance(speed, times + rounding))
+    before, after = times - SAME_TIME, times + SAME_TIME  # another clearance may begin at a sample
+    delta = np.minimum(dirt.safety.clearance(speed, before), dirt.safety.clearance(speed, after))
     asked = np.flatnonzero(required & (clearance.values < delta + SPREAD))
     if not len(asked):
         return []
@@ -187,7 +188,7 @@ def _collisions_at_samples(what: str, times: Floats, clearance: _Clearance) -> l
 def _collisions_between_samples(dirt: DirtSolver, plan: Plan, clearance: _Clearance) -> list[Violation]:
     """Collisions of a plan between the samples of its trajectory."""
     ends = np.cumsum(plan.durations)
-    edge = np.minimum(np.searchsorted(ends, plan.times[:-1] + 1e-9, side="right"), len(ends) - 1)
+    edge = np.minimum(np.searchsorted(ends, plan.times[:-1] + SAME_TIME, side="right"), len(ends) - 1)
     if not len(ends):  # the start is in the goal
         return []
     fine = dirt.fine(plan.trajectory[:-1], plan.controls[edge], np.diff(plan.times), FINE)

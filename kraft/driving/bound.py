@@ -22,6 +22,7 @@ from ompl_ext.arrays import Floats
 from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.poses import displacement
 from ompl_ext.query import Safety
+from ompl_ext.times import SAME_TIME
 from ompl_ext.vehicle import Vehicle
 
 LATER_DELTA: Final = 0.1
@@ -131,7 +132,7 @@ class BoundCalibration:
         if self._last is None or not self._last[0].times[0] < time:
             return
         predicted, bound = self._last
-        if time > predicted.times[-1] + 1e-9:
+        if time > predicted.times[-1] + SAME_TIME:
             return
         expected = interpolated_rows(time, predicted.times, predicted.states)
         deviation = displacement(state, expected, self._vehicle)

@@ -22,6 +22,7 @@ from kraft.driving.vehicle_model import braking_control
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver
+from ompl_ext.times import SAME_TIME
 
 MOMENTS: Final = 0.1
 """Time between two moments at which the loss of commands is examined, s."""
@@ -44,7 +45,7 @@ class CommandLoss:
         begin = due = float(motion.times[0])
         worst = math.inf
         for time, state, control in zip(motion.times[:-1], motion.states[:-1], motion.controls, strict=True):
-            if time < due - 1e-9:
+            if time < due - SAME_TIME:
                 continue
             due = float(time) + MOMENTS
             worst = min(worst, self._slack_after(state, control, float(time) - begin))
@@ -71,7 +72,7 @@ class CommandLoss:
     def keeps(self, plan: Plan, cycle: float) -> bool:
         """Whether a robot on a plan stops with clearance if commands are lost within its first `cycle` s."""
         reference = plan_reference(self.dirt.vehicle, plan, 0.0)
-        last = min(int(np.searchsorted(reference.times, cycle - 1e-9)), len(reference.controls))
+        last = min(int(np.searchsorted(reference.times, cycle - SAME_TIME)), len(reference.controls))
         times, states = reference.times[: last + 1], reference.states[: last + 1]
         return self.slack(PredictedMotion(times, states, 0.0, controls=reference.controls[:last])) >= 0.0
 
@@ -107,12 +108,12 @@ def _slowed_edges(plan: Plan, driven: Bools, share: float, cycle: float, longest
     controls, durations, time, slowed = list[Floats](), list[float](), 0.0, 0
     for control, duration in zip(plan.controls, plan.durations.tolist(), strict=True):
         slow, left = min(duration / share, max(0.0, cycle - time)), duration
-        if slow > 1e-9:
+        if slow > SAME_TIME:
             parts = math.ceil(slow / longest - 1e-9)
             controls += parts * [np.where(driven, share * control, control)]
             durations += parts * [slow / parts]
             time, slowed, left = time + slow, len(durations), duration - share * slow
-        if left > 1e-9:
+        if left > SAME_TIME:
             controls.append(control)
             durations.append(left)
     return np.array(controls), np.array(durations), slowed

@@ -20,6 +20,7 @@ from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.obstacles import Polygon, Workspace
 from ompl_ext.plan import TreeView
+from ompl_ext.times import SAME_TIME
 from ompl_ext.vehicle import Footprint
 
 
@@ -190,7 +191,7 @@ class Commitment:
 
     def reference_at(self, time: float) -> Reference:
         """Reference to track at `time` (s), if no later message arrives."""  # Theorem 1, case (b)
-        if self.contingency is None or time < self.switch - 1e-9:
+        if self.contingency is None or time < self.switch - SAME_TIME:
             return self.reference
         return self.contingency
 
@@ -307,7 +308,7 @@ def cycles_on_board(cycles: Sequence[Cycle]) -> Iterator[Cycle]:
 
 def begun_cycles(cycles: Sequence[Cycle], end: float) -> tuple[Cycle, ...]:
     """Cycles that began by the end of the drive (s): the replanner decides ahead, and the last may not have begun."""
-    return tuple(cycle for cycle in cycles if cycle.time <= end + 1e-9)
+    return tuple(cycle for cycle in cycles if cycle.time <= end + SAME_TIME)
 
 
 def as_driven(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:

@@ -16,6 +16,7 @@ from kraft.driving.references import manoeuvre_reference
 from kraft.driving.vehicle_model import VehicleModel, braking_control
 from ompl_ext.arrays import Floats
 from ompl_ext.query import Safety
+from ompl_ext.times import SAME_TIME
 
 
 class OnBoard:
@@ -66,18 +67,18 @@ class OnBoard:
     def _stops_already(self, estimate: Estimate, reference: Reference) -> bool:
         """Whether the car brakes on a reference at the time of the estimate, or stands."""
         return reference.kind is ReferenceKind.CONTINGENCY and (
-            reference.stop is None or estimate.time >= reference.stop.begin - 1e-9
+            reference.stop is None or estimate.time >= reference.stop.begin - SAME_TIME
         )
 
     def _must_stop(self, estimate: Estimate, reference: Reference) -> bool:
         if self._stops_already(estimate, reference):
             return False
-        silent = reference.kind is ReferenceKind.PLAN and estimate.time - self._arrived > self._silence + 1e-9
+        silent = reference.kind is ReferenceKind.PLAN and estimate.time - self._arrived > self._silence + SAME_TIME
         return silent or self.is_blind(estimate)
 
     def is_blind(self, estimate: Estimate) -> bool:
         """Whether the newest observation is too old; at time 0 the car knows where it stands."""
-        return min(estimate.age, estimate.time) > self._limit + 1e-9
+        return min(estimate.age, estimate.time) > self._limit + SAME_TIME
 
     def _stop_from(self, estimate: Estimate, reference: Reference) -> Reference:
         """Braking from the estimated state with the wheels as the reference has them now.

@@ -13,6 +13,7 @@ from kraft.driving.messages import Commitment, Estimate, PredictedMotion, Refere
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.kernels.tracking import Ticks
 from ompl_ext.solver import DirtSolver
+from ompl_ext.times import SAME_TIME
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class ClosedLoopPredictor:
         times = np.minimum(begin + self.period * np.arange(ticks + 1), end)
         on_board = [(commitment.reference, ticks)]
         if commitment.contingency is not None:
-            switch = int(np.searchsorted(times[:-1], commitment.switch - 1e-9))
+            switch = int(np.searchsorted(times[:-1], commitment.switch - SAME_TIME))
             on_board = [(commitment.reference, switch), (commitment.contingency, ticks)]
         controller, first, slack = copy.deepcopy(self.controller), 0, math.inf
         at, controls = np.asarray(state, dtype=float), [np.zeros((0, len(self.dirt.vehicle.controls)))]
@@ -58,7 +59,7 @@ class ClosedLoopPredictor:
         start = np.asarray(state, dtype=float)
         law = copy.deepcopy(tracking_law(self.controller, contingency))  # a predictive controller has more to copy
         with self.dirt.with_clearance_until(float(times[-1]) - cycle_start):
-            states, _, worst = self._drive(law, contingency, start, during, contingency.end - 1e-9)
+            states, _, worst = self._drive(law, contingency, start, during, contingency.end - SAME_TIME)
         if len(states) > ticks and not self.dirt.safety.is_resting(self.dirt.vehicle, states[-1]):
             worst = -1.0
         least = least_slack(self.dirt, states, times[: len(states)] - cycle_start)

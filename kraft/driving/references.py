@@ -10,6 +10,7 @@ from kraft.driving.messages import Reference, ReferenceKind, Stop
 from kraft.driving.vehicle_model import stop_control, stop_controls
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import Contingency, Plan
+from ompl_ext.times import SAME_TIME
 from ompl_ext.vehicle import Vehicle
 
 
@@ -18,7 +19,7 @@ def plan_reference(vehicle: Vehicle, plan: Plan, start: float, cycle: float = 0.
 
     A plan that ends within its `cycle` (s), in the goal, is followed by its contingency: the vehicle may be fast there.
     """
-    edges = np.searchsorted(np.cumsum(plan.durations), plan.times[:-1] + 1e-9, side="right")
+    edges = np.searchsorted(np.cumsum(plan.durations), plan.times[:-1] + SAME_TIME, side="right")
     controls = plan.controls[np.minimum(edges, max(0, len(plan.durations) - 1))]
     rest = holding_control(vehicle, plan.trajectory[-1])
     reference = Reference(ReferenceKind.PLAN, start + plan.times, plan.trajectory, controls, rest)

@@ -10,6 +10,7 @@ from ompl_ext.arrays import Floats
 from ompl_ext.plan import Plan
 from ompl_ext.retainment import RetainableEdges, remaining_edges
 from ompl_ext.solver import DirtSolver
+from ompl_ext.times import SAME_TIME
 
 RETAINED_TOLERANCE = 0.1  # most that a retained plan costs beyond what was left of it, for the rounding of edges (s)
 ATTEMPT_TOLERANCE = 0.03  # what a whole remainder may cost more after each attempt at a cheaper one (s)
@@ -93,7 +94,7 @@ def retain(dirt: DirtSolver, root: Floats, remainder: Remainder, continued: bool
         )
     if dirt.retained_nodes[len(durations) - 1] >= 0:
         return PlanLoss.ESTIMATE if dirt.best_cost > remainder.left + RETAINED_TOLERANCE else PlanLoss.NONE
-    first = int(plan.durations.cumsum().searchsorted(elapsed + 1e-9, side="right"))
+    first = int(plan.durations.cumsum().searchsorted(elapsed + SAME_TIME, side="right"))
     begun = elapsed - float(plan.durations[:first].sum())
     planned = dirt.edge(plan.states[first], plan.controls[first], max(begun, 0.0))[0][-1]
     from_root, from_planned = (_first_loss(dirt, state, controls, durations) for state in (root, planned))

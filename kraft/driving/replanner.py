@@ -41,6 +41,7 @@ from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Polygon
 from ompl_ext.plan import Plan
 from ompl_ext.poses import displacement, poses_of
+from ompl_ext.times import SAME_TIME
 
 SETTLED = 0.3  # time after the end of a contingency from which on the vehicle is taken to stand (s)
 FORGET = 2.0  # time without a plan to the goal after which what blocked a vehicle is forgotten (s)
@@ -270,7 +271,7 @@ class Replanner:
         The car drives something else than predicted if the message was lost or the watchdog stopped it.
         """
         if self._calibration is not None and estimate.uncertainty is not None:
-            if abs(current.decided - self._calibrated) < 1e-9:
+            if abs(current.decided - self._calibrated) < SAME_TIME:
                 self._calibration.observe(estimate.time, estimate.state)
             self._set_bound(self._calibration.bound(estimate.uncertainty))
 
@@ -302,7 +303,7 @@ class Replanner:
     def _root(self, estimate: Estimate, cycle_start: float, current: Commitment) -> tuple[Floats, Commitment]:
         """Predicted state (nx,) at the start of the cycle, and the commitment that is on board until then."""
         state, time = nearest_free(self.dirt, estimate.state), estimate.time
-        self._in_transit = [sent for sent in self._in_transit if sent[0] > time + 1e-9]
+        self._in_transit = [sent for sent in self._in_transit if sent[0] > time + SAME_TIME]
         for arrives, following in self._in_transit:
             state, time, current = self._predict(state, time, arrives, current).final_state, arrives, following
         predicted = self._predict(state, time, cycle_start, current).final_state

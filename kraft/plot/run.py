@@ -62,6 +62,7 @@ from kraft.trial.result import Outcome, TrialResult, outcome_text
 from kraft.vehicles import control_title
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
+from ompl_ext.times import SAME_TIME
 from ompl_ext.vehicle import Vehicle
 
 
@@ -276,7 +277,7 @@ def _planned(result: TrialResult, time: float, index: int) -> float:
 
 
 def _active_cycle(cycles: tuple[Cycle, ...], time: float) -> Cycle | None:
-    begun = [cycle for cycle in cycles if cycle.time <= time + 1e-9]
+    begun = [cycle for cycle in cycles if cycle.time <= time + SAME_TIME]
     return begun[-1] if begun else None
 
 

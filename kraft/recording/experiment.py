@@ -23,6 +23,7 @@ from kraft.recording.element import Element, in_words, library, sampled
 from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, Manoeuvre, manoeuvre
 from kraft.sysid.information import STEP, Knowledge
 from ompl_ext.arrays import Matrix
+from ompl_ext.times import SAME_TIME
 
 ELEMENTS_MAX: Final = 6
 """Most elements of a drive: a person has to remember it."""
@@ -203,4 +204,4 @@ def _until(drive: Manoeuvre, end: float) -> Manoeuvre:
 
 
 def _fits_in_time(elements: Sequence[Element]) -> bool:
-    return sum(e.duration for e in elements) <= DURATION - REST - COASTING + 1e-9
+    return sum(e.duration for e in elements) <= DURATION - REST - COASTING + SAME_TIME

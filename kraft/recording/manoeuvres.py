@@ -18,6 +18,7 @@ from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import write_csv
 from kraft.logs.table import read_csv
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.times import SAME_TIME
 
 DURATION: Final = 20.0
 """Duration of a manoeuvre, s."""
@@ -49,7 +50,7 @@ class Manoeuvre:
 
     def control_at(self, time: float) -> Floats:
         """Control (nu,) at a time, s."""
-        k = int(np.searchsorted(self.times, time + 1e-9, side="right")) - 1
+        k = int(np.searchsorted(self.times, time + SAME_TIME, side="right")) - 1
         held: Floats = self.controls[max(k, 0)]
         return held
 

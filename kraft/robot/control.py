@@ -64,6 +64,7 @@ from kraft.robot.task_inputs import TaskInputs
 from kraft.robot.tracker import Tracker, warm_up
 from kraft.robot.transport import Transport
 from ompl_ext.arrays import Floats
+from ompl_ext.times import SAME_TIME
 
 LEAD_IN: Final = 0.6
 """Time between the order to begin and time 0 of the drive, s."""
@@ -361,7 +362,7 @@ class Control:
                 self._learned = planned.learned
             horizon = self._tracker.horizon
             cycle = planned.cycle
-            if cycle.time > now + horizon + 1e-9:
+            if cycle.time > now + horizon + SAME_TIME:
                 return
             self._planned.popleft()
             self._cycle = cycle.number

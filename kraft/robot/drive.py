@@ -57,6 +57,7 @@ from kraft.trial.result import cycle_content
 from ompl_ext.arrays import Floats
 from ompl_ext.poses import pose_of
 from ompl_ext.signals import STOPPING
+from ompl_ext.times import SAME_TIME
 
 LEAD: Final = 0.3
 """Time before a cycle at which it is decided, s: the decision takes a part of it, and travels to the controller."""
@@ -141,7 +142,7 @@ def check_method(method: Method) -> None:
     key = "cycle" if planner.clock_cycle is None else "clock_cycle"
     cycle = planner.clock_cycle or planner.cycle
     least = max(planner.lead, LEAD) + LEAD
-    if cycle < least - 1e-9:
+    if cycle < least - SAME_TIME:
         other = ", or a longer `clock_cycle`" if planner.clock_cycle is None else ""
         wrong(f"planner.{key}", f"is {cycle:g} s", f"expected at least {least:g} s on the wall clock{other}")
     if problems:

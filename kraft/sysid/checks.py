@@ -16,6 +16,7 @@ from kraft.sysid.parameters import Parameters, ParameterSpec
 from kraft.sysid.problem import Problem, residual_ratio
 from kraft.text import counted
 from ompl_ext.arrays import Floats
+from ompl_ext.times import SAME_TIME
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log
@@ -209,7 +210,7 @@ def _is_off(spec: ParameterSpec, bound: float) -> bool:
 
 def _is_a_step(solution: SolvedProblem, spec: ParameterSpec, bound: float) -> bool:
     """Whether a bound is the shortest lag that the steps of the model allow."""
-    return spec.unit == "s" and 0.0 < bound <= float(solution.problem.chains.h.max()) + 1e-9
+    return spec.unit == "s" and 0.0 < bound <= float(solution.problem.chains.h.max()) + SAME_TIME
 
 
 def _throttle(solution: SolvedProblem) -> Iterator[str]:

@@ -31,6 +31,7 @@ from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, noise_mode
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.interpolation import interpolated_rows
+from ompl_ext.times import SAME_TIME
 from ompl_ext.vehicle import Vehicle
 
 STEP = 0.05
@@ -210,7 +211,7 @@ class Knowledge:
 
     def _segment(self, log: int, drive: Commands) -> Segment:
         steps = math.ceil(drive.end / STEP - 1e-9)
-        times = np.arange(0.0, steps * STEP + 1e-9, 1.0 / self.rate)
+        times = np.arange(0.0, steps * STEP + SAME_TIME, 1.0 / self.rate)
         part = Part(drive.times, drive.controls, times, np.zeros((len(times), 3)))
         return Segment(log, part, 0.0, steps, STEP, slice(0, len(times)), True)
 

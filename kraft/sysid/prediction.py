@@ -49,6 +49,7 @@ from kraft.sysid.window_controls import WindowControls
 from kraft.sysid.windows import WINDOW_MIN, Variation, windows_of
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Bools, Floats, Matrix
+from ompl_ext.times import SAME_TIME
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -185,7 +186,7 @@ class Predictor:
         """(W, n) time since the beginning of the window, s"""
         self.interval: Floats = np.array([np.median(np.diff(p.segment.part.pose_times[p.ahead])) for p in pieces])
         """(W,) usual time between two poses, s"""
-        self.ahead: Bools = (self.since >= -1e-9) & (np.arange(self.since.shape[1]) < counts)
+        self.ahead: Bools = (self.since >= -SAME_TIME) & (np.arange(self.since.shape[1]) < counts)
         """(W, n) whether it is a pose of the window"""
         self.observed: Floats = windows.poses
         """(W, n, 3)"""
@@ -247,7 +248,7 @@ def _history(piece: Piece) -> Segment:
 
 def _until(part: Part, time: float) -> Part:
     """The part with its poses up to a time."""
-    count = int(np.searchsorted(part.pose_times, time + 1e-9, side="right"))
+    count = int(np.searchsorted(part.pose_times, time + SAME_TIME, side="right"))
     return replace(part, pose_times=part.pose_times[:count], poses=part.poses[:count])
 
 
@@ -360,7 +361,7 @@ def _pieces(whole: Part, part: Part, log: int, step: float, length: float) -> It
     resting = begins_at_rest(part)
     begin = times[0] if resting else times[0] + HISTORY_MIN
     while times[-1] - begin >= WINDOW_MIN:
-        first = int(np.searchsorted(times, begin - 1e-9))
+        first = int(np.searchsorted(times, begin - SAME_TIME))
         last = int(np.searchsorted(times, times[first] + length + 0.5 * step, side="right"))
         if last - first < 2:
             return

@@ -11,6 +11,7 @@ import numpy as np
 
 from kraft.sysid.interface import Noise
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
+from ompl_ext.times import SAME_TIME
 
 if TYPE_CHECKING:
     from kraft.logs.log import Part
@@ -200,7 +201,7 @@ def thinned(part: Part, step: float) -> Part:
 
 def constant_motion(times: Floats, poses: Matrix, span: float) -> Floats:
     """Pose (x, y, yaw), speed (m/s) and yaw rate (rad/s) at the last pose, by parabolas through those of `span` s."""
-    first = min(int(np.searchsorted(times, times[-1] - span - 1e-9)), max(len(times) - 3, 0))
+    first = min(int(np.searchsorted(times, times[-1] - span - SAME_TIME)), max(len(times) - 3, 0))
     since = times[first:] - times[-1]
     basis = np.vander(since, min(3, len(since)), increasing=True)
     fit = np.linalg.lstsq(basis, poses[first:], rcond=None)[0]

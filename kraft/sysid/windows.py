@@ -19,6 +19,7 @@ from kraft.sysid.initial_values import SmoothedPoses
 from kraft.sysid.interface import Settings
 from kraft.sysid.smoothing import begins_at_rest, smoothed_each
 from ompl_ext.arrays import Bools, Floats, Ints, Matrix
+from ompl_ext.times import SAME_TIME
 
 if TYPE_CHECKING:
     from kraft.logs.log import Part
@@ -96,7 +97,7 @@ def windows_of(segments: Sequence[Segment], parts: Sequence[Part], fold: Ints, k
         times = s.part.pose_times[s.poses]
         own = slice(0, len(times))
         poses[w, own], since[w, own] = s.part.poses[s.poses], times - s.begin
-        seen[w, own] = True if known is None else since[w, own] <= known[w] + 1e-9
+        seen[w, own] = True if known is None else since[w, own] <= known[w] + SAME_TIME
         step[w, own], share[w, own] = pose_steps(s)
     h = np.array([s.h for s in segments])
     known = np.zeros(len(segments)) if known is None else known
@@ -113,7 +114,7 @@ def cut(part: Part, log: int, settings: Settings, wanted: float | None) -> list[
     resting = begins_at_rest(part)
     found = []
     for k in range(count):
-        first = int(np.searchsorted(times, times[0] + k * length - 1e-9))
+        first = int(np.searchsorted(times, times[0] + k * length - SAME_TIME))
         last = int(np.searchsorted(times, times[0] + (k + 1) * length + 0.5 * settings.step, side="right"))
         if last - first >= 4 and times[last - 1] - times[first] >= WINDOW_MIN:
             found.append(segment_between(part, log, settings.step, first, last, resting and k == 0))

@@ -16,6 +16,7 @@ from kraft.trial.measures import Record, Step, farthest_point
 from kraft.trial.planning_vehicle import UNCOVERED
 from ompl_ext.arrays import Matrix
 from ompl_ext.interpolation import interpolated_rows
+from ompl_ext.times import SAME_TIME
 from ompl_ext.vehicle import Footprint
 
 WINDOW: Final = 10.0
@@ -94,7 +95,7 @@ def collision_cause(
         text = "a part of the robot that its footprint does not cover touched the obstacle; the footprint was"
         return Cause(kind=CauseKind.UNCOVERED, text=f"{text} {distance:.3f} m from every obstacle")
     last = steps[-1]
-    k = max((k for k, cycle in enumerate(cycles) if cycle.time <= last.time + 1e-9), default=0)
+    k = max((k for k, cycle in enumerate(cycles) if cycle.time <= last.time + SAME_TIME), default=0)
     sent, cycle = cycles[k], as_driven(cycles)[k]
     if last.watchdog:
         return Cause(kind=CauseKind.MESSAGE_LOST, text="the watchdog had stopped the car")
@@ -181,7 +182,7 @@ def estimate_errors(
     times = np.array([step.time for step in steps])
     true = _unwrapped(np.array([step.pose for step in steps]))
     own = times + np.array([step.ahead for step in steps])
-    kept = (own >= since) & (own <= times[-1] + 1e-9)
+    kept = (own >= since) & (own <= times[-1] + SAME_TIME)
     if not kept.any():
         kept = own == own[0]
     there = interpolated_rows(own[kept], times, true)
@@ -221,7 +222,7 @@ def _unfinished_plan(cycle: Cycle, steps: Sequence[Step], footprint: Footprint, 
 def _deviation(cycle: Cycle, step: Step, footprint: Footprint, pose: Sequence[int]) -> float:
     """Largest distance of a point of the car from where a cycle predicts it, m; from its reference after that."""
     predicted = cycle.predicted
-    if step.time <= predicted.times[-1] + 1e-9:
+    if step.time <= predicted.times[-1] + SAME_TIME:
         expected = interpolated_rows(step.time, predicted.times, predicted.states[:, list(pose)])
     else:
         expected = cycle.reference.state_at(step.time)[list(pose)]
@@ -234,7 +235,7 @@ def _allowed(cycle: Cycle, time: float) -> float | None:
     None after the prediction and in a scene without obstacles.
     """
     predicted = cycle.predicted
-    if time > predicted.times[-1] + 1e-9:
+    if time > predicted.times[-1] + SAME_TIME:
         return None
     if predicted.delta is not None:
         return float(np.interp(time, predicted.times, predicted.delta))

@@ -23,6 +23,7 @@ from kraft.driving.messages import (
 )
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.interpolation import interpolated_rows
+from ompl_ext.times import SAME_TIME
 from ompl_ext.vehicle import Footprint
 
 BIN: Final = 0.1
@@ -287,7 +288,7 @@ def _spans(cycles: Sequence[Cycle], ticks: Floats) -> Iterator[_Span]:
         end = float(cycle.predicted.times[-1])
         if k + 1 < len(cycles):
             end = min(end, cycles[k + 1].time)
-        first, last = np.searchsorted(ticks, [cycle.time - 1e-9, end - 1e-9])
+        first, last = np.searchsorted(ticks, [cycle.time - SAME_TIME, end - SAME_TIME])
         if last > first:
             yield _Span(driven.kind, on_board.time, driven.predicted, int(first), int(last))
 
@@ -295,7 +296,7 @@ def _spans(cycles: Sequence[Cycle], ticks: Floats) -> Iterator[_Span]:
 def _sort_in(deviations: list[list[int]], since: Floats, deviation: Floats) -> None:
     """Add deviations (m) to the intervals of the time since the commit (s)."""
     for elapsed, value in zip(since.tolist(), deviation.tolist(), strict=True):
-        k = int((elapsed + 1e-9) / BIN)
+        k = int((elapsed + SAME_TIME) / BIN)
         while len(deviations) <= k:
             deviations.append([])
         deviations[k].append(round(1000 * value))

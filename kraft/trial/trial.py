@@ -31,6 +31,7 @@ from kraft.trial.oracle import OracleEstimator, true_model
 from kraft.trial.plant import Plant, Radio, camera_model
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.times import SAME_TIME
 
 OnCycle = Callable[[Cycle], None]
 OnStep = Callable[[TrueWorld, Step], None]
@@ -149,7 +150,7 @@ class _Trial:
             return Outcome.COLLISION
         if self.world.in_goal:
             return Outcome.SUCCESS
-        return Outcome.TIMEOUT if self.world.time >= self._limit - 1e-9 else None
+        return Outcome.TIMEOUT if self.world.time >= self._limit - SAME_TIME else None
 
     def observe(self, log: _Log) -> None:
         """Take a frame if one is due, and give the observations that have arrived to the estimator."""
@@ -160,21 +161,21 @@ class _Trial:
                 self._in_flight.append(observation)
                 self._true_poses[observation.time] = self._true_pose
                 log.observations.append(observation)
-        arrived = [o for o in self._in_flight if o.arrival <= now + 1e-9]
-        self._in_flight = [o for o in self._in_flight if o.arrival > now + 1e-9]
+        arrived = [o for o in self._in_flight if o.arrival <= now + SAME_TIME]
+        self._in_flight = [o for o in self._in_flight if o.arrival > now + SAME_TIME]
         for observation in arrived:
             self._estimator.observe(observation)
             self._record_error(self._true_poses.pop(observation.time))
 
     def receive(self) -> None:
         """Take the commitment of the cycle that has begun on board."""
-        while self._sent and self._sent[0][0] <= self.world.time + self._estimator.horizon + 1e-9:
+        while self._sent and self._sent[0][0] <= self.world.time + self._estimator.horizon + SAME_TIME:
             self._on_board.receive(self._sent.pop(0)[1], self._estimator.estimate(self.world.time))
 
     def replan(self, log: _Log) -> None:
         """Replan if a cycle is due; its reference is tracked from the beginning of the cycle on."""
         now = self.world.time
-        if now < self._replanner.next_step - 1e-9:
+        if now < self._replanner.next_step - SAME_TIME:
             return
         estimate = self._estimator.replanning_estimate(now)
         self._replanner.set_delay(self._communication_delay + self._estimator.horizon)

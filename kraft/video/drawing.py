@@ -27,6 +27,7 @@ from ompl_ext.exact import ExactClearance
 from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.plan import TreeView
 from ompl_ext.poses import poses_of
+from ompl_ext.times import SAME_TIME
 from ompl_ext.vehicle import Vehicle
 
 TRAIL_SPACING = 0.04
@@ -81,7 +82,7 @@ class SnapshotRecorder:
 
     def now(self, world: TrueWorld) -> Snapshot:
         """Snapshot of the world as it is; the estimate is that of the last tick, or the start."""
-        while self._committed and self._committed[0].time <= world.time + 1e-9:
+        while self._committed and self._committed[0].time <= world.time + SAME_TIME:
             self._cycle = self._committed.pop(0)
         x, y, theta = map(float, world.pose)
         here = (x, y, world.speed)

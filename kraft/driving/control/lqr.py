@@ -19,6 +19,7 @@ from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.vehicles.load import problem_of
 from ompl_ext.arrays import Floats, Matrix
+from ompl_ext.times import SAME_TIME
 
 KEPT: Final = 32
 """Number of references whose gains are kept: a decision predicts that many motions at most."""
@@ -57,7 +58,7 @@ class LqrController:
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) at the estimate's time."""
         model, time, state = self._model, estimate.time, estimate.state
-        if time >= reference.end - 1e-9 or len(reference.controls) == 0:  # one that stands is a single pose
+        if time >= reference.end - SAME_TIME or len(reference.controls) == 0:  # one that stands is a single pose
             number = 0 if reference.stop is None else reference.stop.manoeuvre
             return model.stop_control(state, number)
         planned = reference.state_at(time)

@@ -25,6 +25,7 @@ from ompl_ext.kernels import kernel_types as at
 from ompl_ext.kernels.costtogo import UNREACHABLE
 from ompl_ext.kernels.specialise import optional_module
 from ompl_ext.solver import DirtSolver
+from ompl_ext.times import SAME_TIME
 
 NEGLIGIBLE: Final = 10.0
 """Costs beyond the least one, as a multiple of the temperature, from which on a rollout does not count: its weight is
@@ -143,7 +144,7 @@ class Updates:
 
     def are_due(self, time: float) -> bool:
         """Whether the command at `time` (s) needs new controls; then it counts as the last one that had them."""
-        if self._last is not None and self._last <= time < self._last + self._period - 1e-9:
+        if self._last is not None and self._last <= time < self._last + self._period - SAME_TIME:
             return False
         self._last = time
         return True
@@ -211,7 +212,7 @@ class MppiController:
 
     def _shift(self, time: float) -> None:
         """Move the controls to `time` (s), with the last one held; begin with those at rest after a contingency."""
-        if self._time is None or time < self._time - 1e-9:
+        if self._time is None or time < self._time - SAME_TIME:
             self._nominal = self._at_rest()
             self._updates.restart()
         else:

@@ -16,6 +16,7 @@ from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import InputError
 from kraft.vehicles import DELAY_MAX
 from ompl_ext.arrays import Floats
+from ompl_ext.times import SAME_TIME
 from ompl_ext.vehicle import Vehicle
 
 Held = Sequence[tuple[Floats, float]]
@@ -150,7 +151,7 @@ class LatestPose:
         # continuous over full turns
         state[model.theta] += math.remainder(observation.theta - state[model.theta], math.tau)
         self._window_poses.append((observation.time, state))
-        while self._window_poses[0][0] < observation.time - self._window - 1e-9:
+        while self._window_poses[0][0] < observation.time - self._window - SAME_TIME:
             self._window_poses.popleft()
         self._reckoning.reset(observation.time, state, self._window_poses[0][0])
 

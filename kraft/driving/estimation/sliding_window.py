@@ -26,13 +26,12 @@ from kraft.sysid.parameters import Parameters
 from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, threshold
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.interpolation import interpolated_rows
+from ompl_ext.times import SAME_TIME
 
 POSES_MIN: Final = 5
 """Number of poses below which a stretch of motion is not used."""
 ROBUST: Final = 2.0
 """Residual, in standard deviations, above which the weight of a pose decreases."""
-ROUNDING: Final = 1e-9
-"""Difference of two times by rounding, s."""
 RECENT: Final = 1.0
 """Shortest motion in which a parameter may differ from what it was before, s."""
 EARLIER: Final = 1.0
@@ -192,7 +191,7 @@ class SlidingWindow:
         position that change from place to place look like another speed.
         """
         since, total = (sum(max(0.0, last - max(first, t)) for first, last in moving) for t in (begin, -math.inf))
-        if not RECENT - ROUNDING <= since <= min(self._length, total) - EARLIER:
+        if not RECENT - SAME_TIME <= since <= min(self._length, total) - EARLIER:
             return None
         brief = graph.since(begin - AROUND_MOTION, self._noise_model(noise(since)))
         if brief.poses < POSES_MIN:
