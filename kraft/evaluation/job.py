@@ -50,7 +50,7 @@ def perform(job: Job) -> TrialRow:
     began = time.perf_counter()
     try:
         spec = TrialSpec(job.scenario, job.method, _vehicle(job.vehicle), job.seed, job.realtime)
-        result = run_trial(spec)
+        result = simulated_trial(spec)
         wall = time.perf_counter() - began
         return trial_row(job.key, result, wall, replay_of(spec, result))
     except (InputError, MissingError):
@@ -66,7 +66,7 @@ def failed_row(job: Job, error: str) -> TrialRow:
     return TrialRow(entry=entry, scenario=job.scenario.name, method=method, seed=seed, outcome="failed", error=error)
 
 
-def run_trial(spec: TrialSpec) -> TrialResult:
+def simulated_trial(spec: TrialSpec) -> TrialResult:
     """Run `kraft.trial.run_trial`, imported with the first trial because it loads the simulator; trees are kept.
 
     Raises:

@@ -35,7 +35,7 @@ def use(patch: pytest.MonkeyPatch, trial: Trial, *, inline: bool = False) -> Non
     """Run `trial` instead of the simulator: in worker processes, on a Dask cluster, or all `inline` in this process."""
     from kraft.evaluation import evaluator  # which workers do not need
 
-    patch.setattr(job, "run_trial", trial)
+    patch.setattr(job, "simulated_trial", trial)
     patch.setattr(processes, "serve", partial(serve, trial))
     patch.setattr(cluster, "perform_checked", partial(perform_checked, trial))
     if inline:
@@ -44,13 +44,13 @@ def use(patch: pytest.MonkeyPatch, trial: Trial, *, inline: bool = False) -> Non
 
 def serve(trial: Trial, pipe: Connection) -> None:
     """Entry of a worker process; what is patched in the process that starts it is not patched here."""
-    job.run_trial = trial
+    job.simulated_trial = trial
     processes.serve(pipe)
 
 
 def perform_checked(trial: Trial, task: Job, versions_there: Mapping[str, str]) -> TrialRow:
     """Run one trial on a Dask worker."""
-    job.run_trial = trial
+    job.simulated_trial = trial
     return cluster.perform_checked(task, versions_there)
 
 
