@@ -17,7 +17,7 @@ from pydantic_core import PydanticCustomError
 from kraft.config.schema import LENGTH_MIN, Angle, Length, Mass, Point, Size, Span, StrictModel, refuse
 from kraft.config.source import KeyPath
 from kraft.errors import Code
-from kraft.vehicles.true_robot import Robot
+from kraft.vehicles.true_robot import RobotTruth
 
 Friction = Annotated[float, Field(gt=0, le=10)]
 Factor = Annotated[float, Field(gt=0, le=10)]
@@ -178,7 +178,7 @@ class WorldState(NamedTuple):
     vehicle: VehicleGap
 
 
-class Truth(Robot):
+class Truth(RobotTruth):
     """Everything the planner's model leaves out; the default is a flat floor with good grip."""
 
     floor_friction: Friction = 1.0

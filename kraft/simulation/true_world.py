@@ -31,7 +31,7 @@ from kraft.simulation.world import TIMESTEP, World
 from kraft.text import suggestion
 from kraft.vehicles import CAR_CONTROLS, STEEPEST, check_state, felt_gravity
 from kraft.vehicles.load import load_vehicle, natural_robot
-from kraft.vehicles.true_robot import CarDimensions, Robot
+from kraft.vehicles.true_robot import CarDimensions, RobotTruth
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels.specialise import kernels
@@ -120,7 +120,7 @@ class TrueWorld(Protocol):
 class TrueRobot:
     """True robot, with the source of the file that states it."""
 
-    robot: Robot
+    robot: RobotTruth
     source: Source
 
     def problem(self, key: str, problem: str, expected: str, code: Code) -> Diagnostic:

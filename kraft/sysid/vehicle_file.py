@@ -33,7 +33,7 @@ from kraft.vehicles.identification_record import (
     Prediction,
 )
 from kraft.vehicles.reference import relative_vehicle
-from kraft.vehicles.true_robot import Robot, with_files
+from kraft.vehicles.true_robot import RobotTruth, with_files
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log
@@ -215,7 +215,7 @@ def _delay(estimated: Mapping[str, ParameterEstimate]) -> Delay | None:
     return Delay(value=float(f"{found.value:.3g}"), std=float(f"{max(found.std, DELAY_STD_MIN):.2g}"))
 
 
-def _robot(robot: Robot, source: Source, folder: Path) -> dict[str, Any]:
+def _robot(robot: RobotTruth, source: Source, folder: Path) -> dict[str, Any]:
     """A `truth` section for a file in `folder`; files by their paths relative to the folder."""
     content = robot.model_dump(mode="json", exclude_defaults=True)
     files, _ = with_files(robot, Path(source.file).parent, source)  # they were there when the file was loaded

@@ -13,7 +13,7 @@ from kraft.scenario import Scenario
 from kraft.vehicles import is_car
 from kraft.vehicles.load import load_vehicle, natural_robot
 from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle
-from kraft.vehicles.true_robot import CAR_SIZES, Robot
+from kraft.vehicles.true_robot import CAR_SIZES, RobotTruth
 from ompl_ext.vehicle import Footprint, Vehicle
 
 ALIKE: Final = 1.25
@@ -153,7 +153,7 @@ def own_robot(vehicle: Vehicle) -> str:
     return "" if outline is None else _uncovered(outline, vehicle)
 
 
-def _outline(robot: Robot, scenario: Scenario | None, vehicle: Vehicle) -> Footprint | None:
+def _outline(robot: RobotTruth, scenario: Scenario | None, vehicle: Vehicle) -> Footprint | None:
     """Outline of the robot that is true, without the simulator if it is one of a kind that is known without it."""
     if robot.kind is None:
         return vehicle.footprint

@@ -33,7 +33,7 @@ from kraft.text import suggestion
 from kraft.vehicles import DELAY_MAX
 from kraft.vehicles.identification_record import IdentificationRecord, SpeedPrediction
 from kraft.vehicles.reference import is_code
-from kraft.vehicles.true_robot import Robot, with_files
+from kraft.vehicles.true_robot import RobotTruth, with_files
 from ompl_ext.names import FORCE
 from ompl_ext.vehicle import ParameterRange, Vehicle
 
@@ -87,7 +87,7 @@ class VehicleConfig(StrictModel):
     """share of gravity along a slope that accelerates the vehicle; the rest the inertia of the drive takes"""
     delay: Delay | None = None
     """delay of commands {value, std}, from which estimators start that estimate it"""
-    truth: Robot | None = None
+    truth: RobotTruth | None = None
     """the true robot in trials whose scenario states none {car} or {mjcf, body, actuators, geoms} or {model}"""
     errors_by_speed: tuple[SpeedPrediction, ...] = ()
     """open-loop prediction errors on drives, from slow to fast ones, in place of those of the `identification`"""

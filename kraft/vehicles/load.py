@@ -24,7 +24,7 @@ from kraft.vehicles.code import StatedByCode, check_functions, check_stated, veh
 from kraft.vehicles.config import SPEED_EXPECTED, Parameter, VehicleConfig, load_vehicle_config
 from kraft.vehicles.identification_record import SpeedPrediction
 from kraft.vehicles.reference import VehicleProblem, is_code, reference_of, resolve_vehicle, split_file
-from kraft.vehicles.true_robot import CarDimensions, Robot, with_files
+from kraft.vehicles.true_robot import CarDimensions, RobotTruth, with_files
 from ompl_ext.vehicle import Footprint, OpenLoopErrors, Vehicle
 
 
@@ -133,7 +133,7 @@ def _errors(of_speed: SpeedPrediction) -> OpenLoopErrors:
     return OpenLoopErrors(of_speed.speeds, of_speed.after, of_speed.along, of_speed.across, of_speed.yaw)
 
 
-def natural_robot(vehicle: Vehicle) -> tuple[Robot, Source]:
+def natural_robot(vehicle: Vehicle) -> tuple[RobotTruth, Source]:
     """True robot where a scenario states none, with the source of the file that says so.
 
     It is the one in the vehicle's file, else the MuSHR for a car, and else the vehicle's own model.
@@ -143,11 +143,11 @@ def natural_robot(vehicle: Vehicle) -> tuple[Robot, Source]:
         changed = path.stat().st_mtime_ns if path.exists() else 0
         if (stated := _stated_robot(path, changed)) is not None:
             return stated
-    return Robot(car=CarDimensions()) if is_car(vehicle) else Robot(), Source(vehicle.file or vehicle.name)
+    return RobotTruth(car=CarDimensions()) if is_car(vehicle) else RobotTruth(), Source(vehicle.file or vehicle.name)
 
 
 @lru_cache(8)  # every trial asks for it
-def _stated_robot(path: Path, changed: int) -> tuple[Robot, Source] | None:
+def _stated_robot(path: Path, changed: int) -> tuple[RobotTruth, Source] | None:
     """True robot that a vehicle file states, with its source; None if it states none.
 
     `changed` is when the file was changed (ns), because after that it may state another one.
@@ -162,11 +162,11 @@ def _stated_robot(path: Path, changed: int) -> tuple[Robot, Source] | None:
 class RecordedVehicle(StatedByCode):
     """What a recording states of the vehicle that drove: true of that robot, whatever model is identified from it."""
 
-    truth: Robot | None = None
+    truth: RobotTruth | None = None
     """the true robot; an `mjcf` by its absolute path, or relative to the folder of the bundled vehicles"""
 
     @classmethod
-    def of(cls, vehicle: Vehicle, true: Robot) -> RecordedVehicle:
+    def of(cls, vehicle: Vehicle, true: RobotTruth) -> RecordedVehicle:
         """A vehicle that was driven, and its true robot with absolute paths.
 
         Raises:

@@ -88,7 +88,7 @@ class CarDimensions(StrictModel):
         return self == CarDimensions(preset=self.preset)
 
 
-class Robot(StrictModel):
+class RobotTruth(StrictModel):
     """What drives: a simulated `car`, a MuJoCo model `mjcf`, or the equations of a vehicle, `model`."""
 
     car: CarDimensions | None = None
@@ -137,7 +137,7 @@ class Robot(StrictModel):
         return "model" if self.model is not None or self.parameters or self.process_noise else None
 
 
-def with_files(robot: Robot, folder: Path, source: Source) -> tuple[dict[str, str], list[Diagnostic]]:
+def with_files(robot: RobotTruth, folder: Path, source: Source) -> tuple[dict[str, str], list[Diagnostic]]:
     """Absolute references of the files that a `truth` section names, and what is wrong with them.
 
     Paths are relative to `folder`, or to where a replaced value was given.

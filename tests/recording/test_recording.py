@@ -17,7 +17,7 @@ from kraft.recording.recorder import COMMAND_RATE, MARGIN, STOP, FreeSpace, Reco
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
 from kraft.simulation.true_world import true_robot, world_of
 from kraft.vehicles.load import RecordedVehicle, load_vehicle
-from kraft.vehicles.true_robot import Robot
+from kraft.vehicles.true_robot import RobotTruth
 from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Footprint
 
@@ -219,6 +219,6 @@ def test_a_manifest_states_the_vehicle_that_drove_and_its_true_robot(name: str, 
 
 
 def test_true_parameters_are_recorded_with_the_model_that_they_are_of() -> None:
-    vehicle, true = load_vehicle("mushr-drive"), Robot(parameters={"tau": 0.9})
+    vehicle, true = load_vehicle("mushr-drive"), RobotTruth(parameters={"tau": 0.9})
     assert RecordedVehicle.of(vehicle, true).truth == true.model_copy(update={"model": "mushr-drive"})
     assert RecordedVehicle.of(replace(vehicle, file=""), true).truth is None

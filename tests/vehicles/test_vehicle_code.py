@@ -18,7 +18,7 @@ from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import load_scenario, parse_scenario
 from kraft.vehicles.load import RecordedVehicle, load_vehicle
 from kraft.vehicles.mushr import MUSHR
-from kraft.vehicles.true_robot import Robot
+from kraft.vehicles.true_robot import RobotTruth
 from ompl_ext.vehicle import OpenLoopErrors
 
 EXAMPLE = ROOT / "examples" / "05_vehicle.py"
@@ -244,7 +244,7 @@ def test_what_no_vehicle_file_could_state_is_refused_in_code_too(
 
 def test_what_is_recorded_of_a_vehicle_in_code_is_checked() -> None:
     vehicle = replace(load_vehicle("jackal"), name="my robot", file="")
-    (problem,) = raised(lambda: RecordedVehicle.of(vehicle, Robot()))
+    (problem,) = raised(lambda: RecordedVehicle.of(vehicle, RobotTruth()))
     assert (problem.file, problem.code) == ("my robot", Code.CODE)
 
 
