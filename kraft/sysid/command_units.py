@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.sysid.log_motion import SPAN, STEP, Motion, motions, sums_of
+from kraft.sysid.log_motion import SPAN, STEP, LogMotion, motions, sums_of
 from ompl_ext.arrays import Floats, Matrix
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def sign_warnings(units: Mapping[str, CommandUnit]) -> tuple[str, ...]:
     )
 
 
-def _throttle(found: Sequence[Motion]) -> CommandUnit:
+def _throttle(found: Sequence[LogMotion]) -> CommandUnit:
     values = np.concatenate([m.commands(DELAY)[:, 0] for m in found])
     speed = np.concatenate([m.speed for m in found])
     if np.ptp(values) <= 0.0:
@@ -124,7 +124,7 @@ def _throttle(found: Sequence[Motion]) -> CommandUnit:
     return CommandUnit(neutral, float(f"{forward / largest:.4g}") if largest > THROTTLE_MAX or neutral else forward)
 
 
-def _throttle_of_no_speed(found: Sequence[Motion]) -> float:
+def _throttle_of_no_speed(found: Sequence[LogMotion]) -> float:
     """Throttle that would bring the car to rest, from the change of its speed with throttle and speed."""
     count, terms, changes = round(SPAN / STEP), [], []
     for m in found:
@@ -150,7 +150,7 @@ def _at_rest(values: Floats, speed: Floats, largest: float) -> float | None:
     return float(kinds[np.argmax(counts)])
 
 
-def _steering(found: Sequence[Motion], wheelbase: float) -> CommandUnit:
+def _steering(found: Sequence[LogMotion], wheelbase: float) -> CommandUnit:
     values = np.concatenate([m.commands(DELAY)[:, 1] for m in found])
     speed = np.concatenate([m.speed for m in found])
     rate = np.concatenate([m.rate for m in found])
@@ -170,7 +170,7 @@ def _steering(found: Sequence[Motion], wheelbase: float) -> CommandUnit:
     return CommandUnit(neutral, -1.0 if neutral == 0.0 and flipped else float(f"{per_unit:.3g}"))
 
 
-def _sides(found: Sequence[Motion]) -> tuple[CommandUnit, CommandUnit]:
+def _sides(found: Sequence[LogMotion]) -> tuple[CommandUnit, CommandUnit]:
     """Meaning of the commands of both sides, with one scale: that the sides differ is a parameter of the models."""
     if not found:
         return CommandUnit(), CommandUnit()

@@ -35,7 +35,7 @@ _SMOOTHED: WeakKeyDictionary[Part, tuple[Floats, Matrix, Matrix]] = WeakKeyDicti
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class LogMotion:
     """Motion and commands of one part on equal time steps, n samples."""
 
     log: int
@@ -63,7 +63,7 @@ def are_of_cars(logs: Sequence[Log]) -> bool:
     return all(set(CAR_CONTROLS) <= set(log.controls) for log in logs)
 
 
-def motions(logs: Sequence[Log], controls: Sequence[str] = CAR_CONTROLS) -> list[Motion]:
+def motions(logs: Sequence[Log], controls: Sequence[str] = CAR_CONTROLS) -> list[LogMotion]:
     """Motion of all parts of a second and ten poses or more, with the commands in the order of `controls`."""
     found = []
     for i, log in enumerate(logs):
@@ -86,13 +86,13 @@ def reverses(logs: Sequence[Log]) -> bool:
     return bool(STEP * np.count_nonzero((throttle < 0.0) & (speed < -fast)) >= REVERSE_TIME_MIN)
 
 
-def motion(log: int, part: Part, columns: Sequence[int]) -> Motion:
+def motion(log: int, part: Part, columns: Sequence[int]) -> LogMotion:
     """Motion of one part; `columns` are those of its commands."""
     times, poses, rates = _smoothed(part)
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     ordered = replace(part, commands=part.commands[:, list(columns)])
     speed, side = rates[:, 0] * c + rates[:, 1] * s, rates[:, 1] * c - rates[:, 0] * s
-    return Motion(log, times, speed, side, rates[:, 2], poses[:, 2], ordered)
+    return LogMotion(log, times, speed, side, rates[:, 2], poses[:, 2], ordered)
 
 
 def _smoothed(part: Part) -> tuple[Floats, Matrix, Matrix]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
-from kraft.sysid.log_motion import SPAN, STEP, SWEEPS, Motion, are_of_cars, followed, motions, sums_of
+from kraft.sysid.log_motion import SPAN, STEP, SWEEPS, LogMotion, are_of_cars, followed, motions, sums_of
 from ompl_ext.arrays import Bools, Floats, Matrix
 
 if TYPE_CHECKING:
@@ -60,14 +60,14 @@ RIDGE: Final = 1e-6
 """Share of the information that is added, so that a command that never changes has no effect."""
 
 
-def yaw_error(found: Sequence[Motion], delay: float, *, swapped: bool = False) -> float:
+def yaw_error(found: Sequence[LogMotion], delay: float, *, swapped: bool = False) -> float:
     """Share of the yaw rate that speed and steering do not explain, with steering from `delay` s before."""
     control = 0 if swapped else 1
     terms = [np.column_stack([m.speed, m.speed * m.commands(delay)[:, control]]) for m in found]
     return unexplained(np.concatenate(terms), np.concatenate([m.rate for m in found]))
 
 
-def speed_error(found: Sequence[Motion], delay: float, *, swapped: bool = False) -> float:
+def speed_error(found: Sequence[LogMotion], delay: float, *, swapped: bool = False) -> float:
     """Share of the change of the speed that throttle and speed do not explain, with throttle from `delay` s before."""
     control, count, terms, changes = 1 if swapped else 0, round(SPAN / STEP), [], []
     for m in found:
@@ -152,14 +152,14 @@ def check_consistency(logs: Sequence[Log]) -> None:
             raise InputError([problem])
 
 
-def _least(found: Sequence[Motion], delays: Iterable[float], *, swapped: bool = False) -> tuple[float, float]:
+def _least(found: Sequence[LogMotion], delays: Iterable[float], *, swapped: bool = False) -> tuple[float, float]:
     """Least sum of both shares that commands leave unexplained, and its delay."""
     return min(
         (yaw_error(found, d, swapped=swapped) + speed_error(found, d, swapped=swapped), float(d)) for d in delays
     )
 
 
-def _check_columns(found: Sequence[Motion], _: Sequence[Log]) -> Diagnostic | None:
+def _check_columns(found: Sequence[LogMotion], _: Sequence[Log]) -> Diagnostic | None:
     stated, _delay = _least(found, NEAR_DELAYS)
     swapped, _delay = _least(found, NEAR_DELAYS, swapped=True)
     if stated - swapped < SWAPPED_LEAST or swapped > SWAPPED_RATIO * stated:
@@ -169,7 +169,7 @@ def _check_columns(found: Sequence[Motion], _: Sequence[Log]) -> Diagnostic | No
     return Diagnostic("logs", problem, expected, code=Code.MISMATCH)
 
 
-def _check_clock(found: Sequence[Motion], _: Sequence[Log]) -> Diagnostic | None:
+def _check_clock(found: Sequence[LogMotion], _: Sequence[Log]) -> Diagnostic | None:
     near, _delay = _least(found, NEAR_DELAYS)
     far, delay = _least(found, FAR_DELAYS)
     if near - far < OFFSET_LEAST or far > OFFSET_RATIO * near:
@@ -186,7 +186,7 @@ def _check_clock(found: Sequence[Motion], _: Sequence[Log]) -> Diagnostic | None
     return Diagnostic("logs", problem, expected, code=Code.MISMATCH)
 
 
-def _fine_delay(found: Sequence[Motion], delay: float) -> float:
+def _fine_delay(found: Sequence[LogMotion], delay: float) -> float:
     """The delay near a coarse one: that of the yaw rate, or of both motions where the steering hardly explains it.
 
     The inertia of the drive spreads a change of the speed over a time in which it shows no delay.
@@ -219,7 +219,7 @@ class _Normal:
         return cost
 
 
-def _check_groups(found: Sequence[Motion], logs: Sequence[Log]) -> Diagnostic | None:
+def _check_groups(found: Sequence[LogMotion], logs: Sequence[Log]) -> Diagnostic | None:
     if len(logs) < GROUP_LOGS_MIN:
         return None
     driving = [[driving_terms(m, delay) for m in found] for delay in GROUP_DELAYS]
@@ -244,7 +244,7 @@ def _check_groups(found: Sequence[Motion], logs: Sequence[Log]) -> Diagnostic | 
     return None
 
 
-def _turning(found: Sequence[Motion]) -> list[list[tuple[Matrix, Floats]]]:
+def _turning(found: Sequence[LogMotion]) -> list[list[tuple[Matrix, Floats]]]:
     """Terms of the yaw rate and the yaw rate of all motions, for each delay and each time that a slow servo may take.
 
     Without these times, the logs of a slow servo fall into those in which the steering is held and those in which it
@@ -258,7 +258,7 @@ def _turning(found: Sequence[Motion]) -> list[list[tuple[Matrix, Floats]]]:
     return [[_turning_terms(m, s, limits) for m, s in zip(found, turned, strict=True)] for turned in (*steering, *slow)]
 
 
-def _turning_terms(m: Motion, s: Floats, limits: Sequence[float]) -> tuple[Matrix, Floats]:
+def _turning_terms(m: LogMotion, s: Floats, limits: Sequence[float]) -> tuple[Matrix, Floats]:
     """Terms of the yaw rate with steering `s` (n,) and the yaw rate, averaged over a time that is long for lags.
 
     The tyres limit the lateral acceleration: `limits` are values that steering times squared speed may not exceed.
@@ -272,7 +272,7 @@ def _turning_terms(m: Motion, s: Floats, limits: Sequence[float]) -> tuple[Matri
     return mean[:, :-1], mean[:, -1]
 
 
-def driving_terms(m: Motion, delay: float) -> tuple[Matrix, Floats]:
+def driving_terms(m: LogMotion, delay: float) -> tuple[Matrix, Floats]:
     """Terms of the change of the speed and the change.
 
     One of them is what a car that slides sideways gains or loses along itself because it turns away from its motion.
@@ -285,7 +285,7 @@ def driving_terms(m: Motion, delay: float) -> tuple[Matrix, Floats]:
     return np.column_stack([*terms, before * turned, turned_away]), v[count:] - before
 
 
-def _normal(found: Sequence[Motion], logs: int, samples: Sequence[tuple[Matrix, Floats]]) -> _Normal:
+def _normal(found: Sequence[LogMotion], logs: int, samples: Sequence[tuple[Matrix, Floats]]) -> _Normal:
     scale = np.sqrt(np.mean(np.concatenate([x for x, _ in samples]) ** 2, axis=0)) + 1e-12
     k = len(scale)
     normal = _Normal(np.zeros((logs, k, k)), np.zeros((logs, k)), np.zeros(logs))

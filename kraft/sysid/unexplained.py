@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from kraft.sysid.log_motion import STEP, SWEEPS, Motion, are_of_cars, followed, motions, sums_of
+from kraft.sysid.log_motion import STEP, SWEEPS, LogMotion, are_of_cars, followed, motions, sums_of
 from kraft.sysid.smoothing import MAD
 from ompl_ext.arrays import Bools, Floats, Matrix
 
@@ -91,7 +91,7 @@ def _is_dense(part: Part) -> bool:
     return float(np.median(np.diff(part.pose_times))) <= POSE_INTERVAL_MAX
 
 
-def _left(found: Sequence[Motion]) -> list[tuple[Floats, Floats, Floats]]:
+def _left(found: Sequence[LogMotion]) -> list[tuple[Floats, Floats, Floats]]:
     """What the regressions leave of speed, yaw rate and sideways speed, over the least that counts; (n,) each."""
     ahead = round(LOOK_AHEAD / STEP)
     changes = [m.speed[ahead:] - m.speed[:-ahead] for m in found]
@@ -112,7 +112,7 @@ def _left(found: Sequence[Motion]) -> list[tuple[Floats, Floats, Floats]]:
     ]
 
 
-def _sliding(found: Sequence[Motion], left: Sequence[Floats]) -> list[Bools]:
+def _sliding(found: Sequence[LogMotion], left: Sequence[Floats]) -> list[Bools]:
     """Whether the tyres may slide at each sample (n,), `left` (n,) the yaw rate that is not explained.
 
     A car at the limit of its grip turns less than it is steered: no regression that is linear in the steering says so,
@@ -130,7 +130,7 @@ def _larger(change: Floats, ahead: int) -> Floats:
     return np.where(np.abs(begun) >= np.abs(ended), begun, ended)
 
 
-def _speed_terms(m: Motion, throttle: Floats, ahead: int) -> Matrix:
+def _speed_terms(m: LogMotion, throttle: Floats, ahead: int) -> Matrix:
     """Terms (n - ahead, k) of the change of the speed over the next samples; `throttle` (n,) acts in them."""
     v, terms = m.speed[:-ahead], []
     least = NEUTRAL * float(np.abs(throttle).max())
@@ -143,7 +143,7 @@ def _speed_terms(m: Motion, throttle: Floats, ahead: int) -> Matrix:
 
 
 def _residuals_of(
-    found: Sequence[Motion], column: int, values: Sequence[Floats], terms: Callable[[Motion, Floats], Matrix]
+    found: Sequence[LogMotion], column: int, values: Sequence[Floats], terms: Callable[[LogMotion, Floats], Matrix]
 ) -> list[Floats]:
     """What is left of values (n,) if a command acts at once or, where that explains far more, gradually as well."""
     commands = [m.commands()[:, column] for m in found]
@@ -163,7 +163,7 @@ def _square(residuals: Sequence[Floats]) -> float:
     return float(np.mean(np.concatenate(residuals) ** 2))
 
 
-def _rate_terms(m: Motion, turned: Floats) -> Matrix:
+def _rate_terms(m: LogMotion, turned: Floats) -> Matrix:
     """Terms (n, k) of the yaw rate with wheels that are `turned` (n,), in the unit of the command."""
     v, terms = m.speed, []
     for age in TAPS:
@@ -179,7 +179,7 @@ def _before(values: Floats, age: float) -> Floats:
     return np.concatenate([np.full(count, values[0]), values[: len(values) - count]])
 
 
-def _side_terms(m: Motion) -> Matrix:
+def _side_terms(m: LogMotion) -> Matrix:
     """Terms (n, k) of the sideways speed."""
     return np.column_stack([m.rate, m.speed, m.speed * np.abs(m.speed) * m.rate, m.rate * np.abs(m.rate)])
 
@@ -210,7 +210,7 @@ def _averaged(values: Floats) -> Floats:
     return np.convolve(np.pad(values, SMOOTHED // 2, mode="edge"), np.ones(SMOOTHED) / SMOOTHED, "valid")
 
 
-def _stretches(log: str, m: Motion, speed: Floats, rate: Floats, side: Floats) -> list[Stretch]:
+def _stretches(log: str, m: LogMotion, speed: Floats, rate: Floats, side: Floats) -> list[Stretch]:
     kinds = np.array([np.abs(speed), np.abs(rate), np.abs(side)])
     bad = np.flatnonzero(kinds.max(axis=0) > 1.0)
     if not len(bad):

@@ -28,11 +28,11 @@ INSTANT = 1e-3  # duration over which rates and the direction of motion are meas
 FASTER = 0.05  # change of the speed that shows the course (m/s)
 STILL = 1e-12  # distance below which there is no course (m)
 
-# Indices of Motion.where: components of the state, and the number of those of the vehicle
+# Indices of Process.where: components of the state, and the number of those of the vehicle
 AT_X, AT_Y, AT_THETA, AT_V, AT_NX = range(5)
 
 
-class Motion(NamedTuple):
+class Process(NamedTuple):
     """What moves a state (n,): the model with `parameters`, which are uncertain by the rows of `spread`.
 
     `rate` is the variance per second that the state gains.  The errors after the excess decay with their `times`.
@@ -51,16 +51,16 @@ class Motion(NamedTuple):
 
 
 @part
-def course(state: Floats, control: Floats, motion: Motion, faster: Floats, slower: Floats) -> tuple[float, float]:
+def course(state: Floats, control: Floats, process: Process, faster: Floats, slower: Floats) -> tuple[float, float]:
     """Curvature (1/m) and slip angle (rad) of the additional motion if the speed alone were a little higher."""
-    x, y, theta, v, nx = (motion.where[AT_X], motion.where[AT_Y], motion.where[AT_THETA], motion.where[AT_V],
-                          motion.where[AT_NX])  # fmt: skip
+    x, y, theta, v, nx = (process.where[AT_X], process.where[AT_Y], process.where[AT_THETA], process.where[AT_V],
+                          process.where[AT_NX])  # fmt: skip
     for k in range(nx):
         faster[k] = slower[k] = state[k]
     faster[v] += FASTER
     slower[v] -= FASTER
-    call_advance(motion.functions[ADVANCE], (faster, control, motion.parameters, INSTANT, faster))
-    call_advance(motion.functions[ADVANCE], (slower, control, motion.parameters, INSTANT, slower))
+    call_advance(process.functions[ADVANCE], (faster, control, process.parameters, INSTANT, faster))
+    call_advance(process.functions[ADVANCE], (slower, control, process.parameters, INSTANT, slower))
     dx, dy, turn = faster[x] - slower[x], faster[y] - slower[y], faster[theta] - slower[theta]
     length = math.hypot(dx, dy)
     if length < STILL:
@@ -70,9 +70,9 @@ def course(state: Floats, control: Floats, motion: Motion, faster: Floats, slowe
 
 
 @part
-def move(state: Floats, control: Floats, duration: float, motion: Motion, block: Matrix) -> None:
+def move(state: Floats, control: Floats, duration: float, process: Process, block: Matrix) -> None:
     """Advance a state while a control is held for `duration` s."""
-    x, y, theta, nx = motion.where[AT_X], motion.where[AT_Y], motion.where[AT_THETA], motion.where[AT_NX]
+    x, y, theta, nx = process.where[AT_X], process.where[AT_Y], process.where[AT_THETA], process.where[AT_NX]
     steps = math.ceil(duration / MAX_STEP - ROUNDING)
     if steps <= 0:
         return
@@ -80,10 +80,10 @@ def move(state: Floats, control: Floats, duration: float, motion: Motion, block:
     left = math.exp(-h / EXCESS_TIME)
     before, after = block[0], block[1]
     for _ in range(steps):
-        curvature, slip = course(state, control, motion, before, after)
+        curvature, slip = course(state, control, process, before, after)
         for k in range(nx):
             before[k] = state[k]
-        call_advance(motion.functions[ADVANCE], (before, control, motion.parameters, h, after))
+        call_advance(process.functions[ADVANCE], (before, control, process.parameters, h, after))
         distance = state[nx] * EXCESS_TIME * (1.0 - left)
         turn = curvature * distance
         direction = 0.5 * (before[theta] + after[theta]) + 0.5 * turn + slip
@@ -96,64 +96,68 @@ def move(state: Floats, control: Floats, duration: float, motion: Motion, block:
 
 
 @part
-def rate_variance(state: Floats, control: Floats, motion: Motion, block: Matrix, variance: Floats) -> None:
+def rate_variance(state: Floats, control: Floats, process: Process, block: Matrix, variance: Floats) -> None:
     """Variance (nx,) of the derivative of the vehicle's state by the uncertainty of the parameters."""
-    nx, count = motion.where[AT_NX], len(motion.parameters)
+    nx, count = process.where[AT_NX], len(process.parameters)
     now, nominal, varied, parameters = block[0], block[1], block[2], block[3]
     for k in range(nx):
         now[k], variance[k] = state[k], 0.0
-    if len(motion.spread) == 0:
+    if len(process.spread) == 0:
         return
-    call_advance(motion.functions[ADVANCE], (now, control, motion.parameters, INSTANT, nominal))
-    for row in range(len(motion.spread)):
+    call_advance(process.functions[ADVANCE], (now, control, process.parameters, INSTANT, nominal))
+    for row in range(len(process.spread)):
         for k in range(count):
-            parameters[k] = motion.parameters[k] + SHARE * motion.spread[row, k]
-        call_advance(motion.functions[ADVANCE], (now, control, parameters, INSTANT, varied))
+            parameters[k] = process.parameters[k] + SHARE * process.spread[row, k]
+        call_advance(process.functions[ADVANCE], (now, control, parameters, INSTANT, varied))
         for k in range(nx):
             change = (varied[k] - nominal[k]) / (INSTANT * SHARE)
             variance[k] += change * change
 
 
 @part
-def linearise(mean: Floats, control: Floats, duration: float, motion: Motion, block: Matrix, jacobian: Matrix) -> None:
+def linearise(
+    mean: Floats, control: Floats, duration: float, process: Process, block: Matrix, jacobian: Matrix
+) -> None:
     """Advance the mean, and write the derivatives (n, n) by the state before."""
-    size, last = len(mean), motion.where[AT_NX]
+    size, last = len(mean), process.where[AT_NX]
     nominal, varied = block[4], block[5]
     for a in range(size):
         nominal[a] = mean[a]
         for b in range(size):
             jacobian[a, b] = 1.0 if a == b else 0.0
-    move(nominal, control, duration, motion, block)
+    move(nominal, control, duration, process, block)
     for b in range(last + 1):
-        if b not in (motion.where[AT_X], motion.where[AT_Y]):  # the motion does not depend on the position
+        if b not in (process.where[AT_X], process.where[AT_Y]):  # the motion does not depend on the position
             for k in range(size):
                 varied[k] = mean[k]
             varied[b] += CHANGE
-            move(varied, control, duration, motion, block)
+            move(varied, control, duration, process, block)
             for a in range(last + 1):
                 jacobian[a, b] = (varied[a] - nominal[a]) / CHANGE
     for a in range(last + 1):
         mean[a] = nominal[a]
     for k in range(last + 1, size):
-        left = math.exp(-duration / motion.times[k - last - 1])
+        left = math.exp(-duration / process.times[k - last - 1])
         mean[k] *= left
         jacobian[k, k] = left
 
 
 @part
-def predict(mean: Floats, covariance: Matrix, control: Floats, duration: float, motion: Motion, block: Matrix) -> None:
+def predict(
+    mean: Floats, covariance: Matrix, control: Floats, duration: float, process: Process, block: Matrix
+) -> None:
     """Advance mean (n,) and covariance (n, n) while a control (nu,) is held for `duration` s."""
-    size, nx = len(mean), motion.where[AT_NX]
+    size, nx = len(mean), process.where[AT_NX]
     variance, added = block[6], block[7]
     jacobian, product = block[8 : 8 + size], block[8 + size : 8 + 2 * size]
-    rate_variance(mean, control, motion, block, variance)
+    rate_variance(mean, control, process, block, variance)
     for a in range(size):
-        added[a] = motion.rate[a] * duration
+        added[a] = process.rate[a] * duration
     for a in range(nx):
-        added[a] += variance[a] * motion.same[a] * duration
-    for a in range(motion.varying[0], motion.varying[1]):
-        added[a] += 2.0 * mean[a] * mean[a] / motion.times[a - nx - 1] * duration
-    linearise(mean, control, duration, motion, block, jacobian)
+        added[a] += variance[a] * process.same[a] * duration
+    for a in range(process.varying[0], process.varying[1]):
+        added[a] += 2.0 * mean[a] * mean[a] / process.times[a - nx - 1] * duration
+    linearise(mean, control, duration, process, block, jacobian)
     for a in range(size):
         for b in range(size):
             total = 0.0
@@ -169,44 +173,44 @@ def predict(mean: Floats, covariance: Matrix, control: Floats, duration: float, 
 
 
 def _predict(
-    mean: Floats, covariance: Matrix, controls: Matrix, durations: Floats, motion: Motion, block: Matrix
+    mean: Floats, covariance: Matrix, controls: Matrix, durations: Floats, process: Process, block: Matrix
 ) -> None:
     for i in range(len(durations)):
-        predict(mean, covariance, controls[i], durations[i], motion, block)
+        predict(mean, covariance, controls[i], durations[i], process, block)
 
 
-def _advance(mean: Floats, controls: Matrix, durations: Floats, motion: Motion, block: Matrix) -> None:
+def _advance(mean: Floats, controls: Matrix, durations: Floats, process: Process, block: Matrix) -> None:
     for i in range(len(durations)):
-        move(mean, controls[i], durations[i], motion, block)
-        for k in range(motion.where[AT_NX] + 1, len(mean)):
-            mean[k] *= math.exp(-durations[i] / motion.times[k - motion.where[AT_NX] - 1])
+        move(mean, controls[i], durations[i], process, block)
+        for k in range(process.where[AT_NX] + 1, len(mean)):
+            mean[k] *= math.exp(-durations[i] / process.times[k - process.where[AT_NX] - 1])
 
 
-def _rate_variance(state: Floats, control: Floats, motion: Motion, block: Matrix, variance: Floats) -> None:
-    rate_variance(state, control, motion, block, variance)
+def _rate_variance(state: Floats, control: Floats, process: Process, block: Matrix, variance: Floats) -> None:
+    rate_variance(state, control, process, block, variance)
 
 
 @dataclass(frozen=True)
 class Moments:
     """Compiled functions; `block` has 8 + 2 n rows, as long as a state and the parameters.
 
-    `predict(mean, covariance, controls, durations, motion, block)` advances mean (n,) and covariance (n, n), and
-    `advance(mean, controls, durations, motion, block)` the mean alone, while controls (m, nu) are held one after the
-    other for their durations (m,) s.  `rate_variance(state, control, motion, block, variance)` is the function above.
+    `predict(mean, covariance, controls, durations, process, block)` advances mean (n,) and covariance (n, n), and
+    `advance(mean, controls, durations, process, block)` the mean alone, while controls (m, nu) are held one after the
+    other for their durations (m,) s.  `rate_variance(state, control, process, block, variance)` is the function above.
     """
 
-    predict: Callable[[Floats, Matrix, Matrix, Floats, Motion, Matrix], None]
-    advance: Callable[[Floats, Matrix, Floats, Motion, Matrix], None]
-    rate_variance: Callable[[Floats, Floats, Motion, Matrix, Floats], None]
+    predict: Callable[[Floats, Matrix, Matrix, Floats, Process, Matrix], None]
+    advance: Callable[[Floats, Matrix, Floats, Process, Matrix], None]
+    rate_variance: Callable[[Floats, Floats, Process, Matrix, Floats], None]
 
 
 @cache
 def moments() -> Moments:
     """The compiled functions; compiled, or loaded from the cache, on the first call."""
-    motion = numba_type(Motion)
+    process = numba_type(Process)
     floats, matrix = types.float64[::1], types.float64[:, ::1]
     return Moments(
-        compiled(_predict, signature=types.void(floats, matrix, matrix, floats, motion, matrix)),
-        compiled(_advance, signature=types.void(floats, matrix, floats, motion, matrix)),
-        compiled(_rate_variance, signature=types.void(floats, floats, motion, matrix, floats)),
+        compiled(_predict, signature=types.void(floats, matrix, matrix, floats, process, matrix)),
+        compiled(_advance, signature=types.void(floats, matrix, floats, process, matrix)),
+        compiled(_rate_variance, signature=types.void(floats, floats, process, matrix, floats)),
     )

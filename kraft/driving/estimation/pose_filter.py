@@ -20,7 +20,7 @@ from kraft.driving.method import Adaptive, Filter
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Defect
 from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.kernels.moments import Motion, moments
+from ompl_ext.kernels.moments import Process, moments
 from ompl_ext.kernels.pose_fusion import WORK, Sensor, pose_fusion
 from ompl_ext.kernels.specialise import kernels
 
@@ -93,7 +93,7 @@ class ProcessModel:
         """State (size,) after controls (nu,), each with its duration (s)."""
         after = np.array(state, dtype=np.float64)
         if held:
-            self._moments.advance(after, *_arrays(held), self._motion, self._block)
+            self._moments.advance(after, *_arrays(held), self._process, self._block)
         return after
 
     def predicted(
@@ -105,20 +105,20 @@ class ProcessModel:
         """
         mean, covariance = mean.copy(), covariance.copy()
         if held:
-            motion = self._motion if rate is None else self._motion._replace(rate=rate, varying=NOTHING)
-            self._moments.predict(mean, covariance, *_arrays(held), motion, self._block)
+            process = self._process if rate is None else self._process._replace(rate=rate, varying=NOTHING)
+            self._moments.predict(mean, covariance, *_arrays(held), process, self._block)
         return mean, covariance
 
     def rate_variance(self, state: Floats, control: Floats) -> Floats:
         """Variance (nx,) of the derivative of the vehicle's state by the uncertainty of the parameters."""
         variance = np.empty(len(self.same))
         held = np.ascontiguousarray(control, dtype=np.float64)
-        self._moments.rate_variance(state, held, self._motion, self._block, variance)
+        self._moments.rate_variance(state, held, self._process, self._block, variance)
         return variance
 
     @property
-    def _motion(self) -> Motion:
-        return Motion(
+    def _process(self) -> Process:
+        return Process(
             functions=self._functions,
             parameters=self._model.parameters,
             spread=self.spread,
