@@ -20,7 +20,8 @@ _LEADING_ZERO = re.compile(r"([-+]?)0+([0-9]+)\Z")
 _OTHER_BASE = re.compile(r"[-+]?0[xXoObB][0-9a-fA-F_]+\Z")
 _UNDERSCORED = re.compile(r"[-+]?[0-9][0-9_]*_[0-9_]*(\.[0-9_]*)?\Z")
 _NOT_FINITE = re.compile(r"([-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))\Z")
-_DIGITS_MAX = 18  # every integer of 18 digits fits 64 bits
+_DIGITS_MAX = 18
+"""Most digits of an integer: all of 18 digits fit 64 bits."""
 
 
 class AmbiguousScalar(ValueError):  # noqa: N818 - it names the word

@@ -20,7 +20,8 @@ from kraft.config.source import KeyPath, Position, Source
 from kraft.config.yaml_nodes import PLAIN, WRITTEN, compose
 from kraft.errors import Code, Diagnostic, InputError
 
-NODES_MAX: Final = 100_000  # after resolving aliases: a few lines of aliases can stand for billions of values
+NODES_MAX: Final = 100_000
+"""Largest number of values after resolving aliases: a few lines of aliases can stand for billions."""
 _STANDARD: Final = "tag:yaml.org,2002:"
 
 

@@ -22,14 +22,17 @@ from ompl_ext.vehicle import Vehicle
 
 SETTLING_TIME: Final = 20.0
 """Time after which the response to a constant control is taken as steady, s."""
-TABLE_SIZE: Final = 65  # rows of a table of steady responses
+TABLE_SIZE: Final = 65
+"""Rows of a table of steady responses."""
 UPDATED_SIZE: Final = 33
 UPDATED_TIME: Final = 6.0
 """Size of the tables, and time until a response is taken as steady (s), when parameters change during a drive."""
 Tables = tuple[list[float], list[float], list[float], list[float]]
 """Throttles with their steady speeds (m/s), and steerings with the curvatures of their paths (1/m)."""
 _TABLES: Final[dict[tuple[str, bytes, bytes], Tables]] = {}
-_UPDATED: Final[dict[tuple[str, bytes, bytes], Tables]] = {}  # those of the parameters that were learned last
+"""Tables by what they depend on, see `CarModel._key`."""
+_UPDATED: Final[dict[tuple[str, bytes, bytes], Tables]] = {}
+"""The same for the parameters that were learned last."""
 
 
 class CarModel(VehicleModel):

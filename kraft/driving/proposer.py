@@ -38,16 +38,26 @@ from ompl_ext.retainment import RetainableEdges
 from ompl_ext.solver import DirtSolver
 from ompl_ext.verification import violations
 
-RECOVERY_MARGIN = 0.005  # present clearance less the one that a recovery requires (m)
-STALLED = 0.5  # cost of a plan beyond what was left of the last one from which on there is no progress (s)
-LEVEL_GAIN = 0.1  # share of its cost that a plan must save to keep less clearance
-LEAST_GAIN = 0.2  # least cost that it must save; that is enough where plans cost more than what was left (s)
-DETOUR = 1.0  # cost of a plan beyond the cost-to-go from which on plans that keep less clearance are tried (s)
-RISE = 0.4  # what a plan may cost to keep more clearance than the last one (s), below `REGRESSION` of `trial.measures`
-CORRECTION_ATTEMPTS = 12  # most attempts at retaining a remainder, each with other random corrections
-PROBES = 2  # attempts at retaining the remainder to find out whether a higher level is worth a search
-PROBES_HIGHER = 4  # attempts in a search at a level above that of the last plan, whose remainder is the fallback
-LOSS_CANDIDATES = 20  # next best plans that are examined for room for a loss of commands if the best one has none
+RECOVERY_MARGIN = 0.005
+"""Present clearance less the one that a recovery requires, m."""
+STALLED = 0.5
+"""Cost of a plan beyond what was left of the last one from which on there is no progress, s."""
+LEVEL_GAIN = 0.1
+"""Share of its cost that a plan must save to keep less clearance."""
+LEAST_GAIN = 0.2
+"""Least cost that it must save, s; that is enough where plans cost more than what was left."""
+DETOUR = 1.0
+"""Cost of a plan beyond the cost-to-go from which on plans that keep less clearance are tried, s."""
+RISE = 0.4
+"""What a plan may cost to keep more clearance than the last one, s; below `REGRESSION` of `kraft.trial.measures`."""
+CORRECTION_ATTEMPTS = 12
+"""Most attempts at retaining a remainder, each with other random corrections."""
+PROBES = 2
+"""Attempts at retaining the remainder to find out whether a higher level is worth a search."""
+PROBES_HIGHER = 4
+"""Attempts in a search at a level above that of the last plan, whose remainder is the fallback."""
+LOSS_CANDIDATES = 20
+"""Next best plans that are examined for room for a loss of commands if the best one has none."""
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,14 @@ from ompl_ext.retainment import RetainableEdges, remaining_edges
 from ompl_ext.solver import DirtSolver
 from ompl_ext.times import SAME_TIME
 
-RETAINED_TOLERANCE = 0.1  # most that a retained plan costs beyond what was left of it, for the rounding of edges (s)
-ATTEMPT_TOLERANCE = 0.03  # what a whole remainder may cost more after each attempt at a cheaper one (s)
-FRUITLESS_ATTEMPTS = 6  # attempts in a row that neither retain more nor save ATTEMPT_TOLERANCE, after which they end
-ATTEMPT_SEEDS = 1_000_000_007  # difference between the seeds of two attempts
+RETAINED_TOLERANCE = 0.1
+"""Most that a retained plan costs beyond what was left of it, s, for the rounding of edges."""
+ATTEMPT_TOLERANCE = 0.03
+"""What a whole remainder may cost more after each attempt at a cheaper one, s."""
+FRUITLESS_ATTEMPTS = 6
+"""Attempts in a row that neither retain more nor save `ATTEMPT_TOLERANCE`, after which they end."""
+ATTEMPT_SEEDS = 1_000_000_007
+"""Difference between the seeds of two attempts."""
 
 
 @dataclass(frozen=True)

@@ -43,10 +43,13 @@ from ompl_ext.plan import Plan
 from ompl_ext.poses import displacement, poses_of
 from ompl_ext.times import SAME_TIME
 
-SETTLED = 0.3  # time after the end of a contingency from which on the vehicle is taken to stand (s)
-FORGET = 2.0  # time without a plan to the goal after which what blocked a vehicle is forgotten (s)
+SETTLED = 0.3
+"""Time after the end of a contingency from which on the vehicle is taken to stand, s."""
+FORGET = 2.0
+"""Time without a plan to the goal after which what blocked a vehicle is forgotten, s."""
 NO_ROOM = "the plan leaves no room for a stop without commands"
-NOISE = 0.1  # estimated speed of a vehicle that stands, at most (m/s)
+NOISE = 0.1
+"""Largest estimated speed of a vehicle that stands, m/s."""
 
 
 @dataclass(frozen=True)

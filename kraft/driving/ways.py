@@ -9,9 +9,12 @@ from ompl_ext.kernels.nearest_points import nearest_points
 from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver
 
-HORIZON = 5.0  # time over which ways are compared (s)
-WIDTH = 0.5  # distance at which one plan leaves the way of another (m)
-STEP = 0.02  # distance between the places on a way that are compared, where its samples are closer (m)
+HORIZON = 5.0
+"""Time over which ways are compared, s."""
+WIDTH = 0.5
+"""Distance at which one plan leaves the way of another, m."""
+STEP = 0.02
+"""Distance between the places on a way that are compared, where its samples are closer, m."""
 
 
 def goes_same_way(dirt: DirtSolver, plan: Plan, other: Plan) -> bool:

@@ -30,7 +30,8 @@ TYPES: Final = {
 """Types of messages that are read without a mapping file."""
 TRUTH: Final = "/truth/"
 """Beginning of the topics of a simulated drive that are true; they are read only if a mapping file names them."""
-_LIST_MAX: Final = 32  # longer lists are covariances and scans
+_LIST_MAX: Final = 32
+"""Longest list whose values become columns: longer ones are covariances and scans."""
 _ACKERMANN: Final = """
 float32 steering_angle
 float32 steering_angle_velocity

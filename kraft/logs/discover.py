@@ -36,7 +36,8 @@ FORMATS: Final = (
     "expected CSV files, ROS bags (.bag, .mcap, .db3 or their folders), or folders of kraft record or kraft run"
 )
 _DEPTH: Final = 6
-_HEAD = 65536  # bytes; a heading is in them
+_HEAD = 65536
+"""Number of bytes at the beginning of a file that have its heading."""
 
 
 @dataclass(frozen=True)

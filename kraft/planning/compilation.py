@@ -48,11 +48,13 @@ from ompl_ext.query import Goal
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Footprint, Vehicle
 
-POLL: Final = 0.05  # s, longest delay of an interrupt
-MAPS: Final = "maps"  # files that mark what is compiled
+POLL: Final = 0.05
+"""Longest delay of an interrupt, s."""
+MAPS: Final = "maps"
 MAPS_PART: Final = "the maps' kernels"
 HEADING: Final = "heading"
 SEARCH: Final = "search"
+"""Files that mark what is compiled."""
 PLANNER: Final = "the planner and "
 OPTIONAL: Final = {"rollouts": "the rollouts", "sst": "the planner sst"}
 

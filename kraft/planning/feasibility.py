@@ -32,7 +32,8 @@ from ompl_ext.query import Settings
 from ompl_ext.vehicle import Footprint, Vehicle
 
 POINT = Footprint(1e-6, 1e-6)
-REACH_ALLOWANCE: Final = 0.02  # share of the range of a component, as seen in simulated motions
+REACH_ALLOWANCE: Final = 0.02
+"""Allowance for the range of a component, as a share of the range that simulated motions show."""
 UNREACHABLE: Final = "the goal is unreachable: no path from the start is wide enough for the footprint"
 
 

@@ -34,9 +34,11 @@ from ompl_ext.vehicle import Vehicle
 
 NAME: Final = "plan.json"
 SCHEMA: Final = "kraft.plan-file/1"
-SIZE_MAX: Final = 256 * 1024 * 1024  # bytes
+SIZE_MAX: Final = 256 * 1024 * 1024
+"""Largest size of a plan file that is read, bytes."""
 EXPECTED: Final = f"expected a plan file ({SCHEMA})"
-TOLERANCE: Final = 1e-6  # s, between redundant numbers
+TOLERANCE: Final = 1e-6
+"""Largest difference between redundant numbers, s."""
 
 
 Number = Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -153,7 +155,8 @@ def _indented(value: Any, indent: str) -> str:
     return json.dumps(value, allow_nan=False, ensure_ascii=False)
 
 
-ON_A_LINE = 100  # values of a list
+ON_A_LINE = 100
+"""Number of values of a list on a line."""
 
 
 def _goal(task: Task, plan: Plan) -> dict[str, Any]:

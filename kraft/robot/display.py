@@ -23,7 +23,8 @@ CELL: Final = 0.05
 CELLS_MAX: Final = 4_000_000
 TREE_EDGES: Final = 1500
 """Largest number of edges of the tree that are sent."""
-_CUBE, _CYLINDER, _LINES, _TEXT = 1, 3, 5, 9  # types of markers
+_CUBE, _CYLINDER, _LINES, _TEXT = 1, 3, 5, 9
+"""Types of markers (visualization_msgs/Marker)."""
 _GREY: Final = (0.35, 0.35, 0.4, 1.0)
 _GREEN: Final = (0.1, 0.6, 0.3, 0.5)
 _DARK: Final = (0.2, 0.2, 0.25, 0.4)

@@ -36,7 +36,8 @@ TRANSFORM: Final = "geometry_msgs/msg/TransformStamped"
 EPOCH: Final = 10**18
 """Stamp of time 0 of a simulation, ns; a stamp of 0 means "unknown" in ROS."""
 
-_BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4  # kinds of fields in rosbags' definitions
+_BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4
+"""Kinds of fields in rosbags' definitions."""
 _DTYPES: Final = {
     "bool": np.bool_, "byte": np.uint8, "char": np.uint8, "int8": np.int8, "uint8": np.uint8, "int16": np.int16,
     "uint16": np.uint16, "int32": np.int32, "uint32": np.uint32, "int64": np.int64, "uint64": np.uint64,

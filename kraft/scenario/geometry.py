@@ -186,7 +186,8 @@ def _meet(
 
 
 CELLS_MAX: Final = 80_000_000
-BYTES_PER_PIXEL: Final = 24  # while an image is read
+BYTES_PER_PIXEL: Final = 24
+"""Memory while an image is read, bytes."""
 
 SAVED_UNKNOWN: Final = 205
 SAVED_GREYS: Final = {0, SAVED_UNKNOWN, 254, 255}
@@ -196,7 +197,8 @@ NOT_AN_IMAGE: Final = "expected the map's YAML file, whose key `image` names the
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
 _PGM: Final = tuple(b"P%d%c" % (kind, space) for kind in range(1, 7) for space in b" \t\r\n#")
 """First bytes of images in the formats of PPM, none of which begins a YAML file of a map."""
-_FORMATS: Final = ("PPM", "PNG")  # Pillow reads PGM as a kind of PPM
+_FORMATS: Final = ("PPM", "PNG")
+"""Formats of images, as Pillow names them: it reads PGM as a kind of PPM."""
 _LEVELS: Final = {"L;2": 85, "L;4": 17}
 """Brightness out of 255 of the first grey above black in a PNG of two or four bits, by Pillow's name for its pixels."""
 _BROKEN: Final = (

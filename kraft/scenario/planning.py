@@ -13,8 +13,10 @@ from pydantic_core import PydanticCustomError
 from kraft.config.schema import NonNegative, Probability, StrictModel, build, is_number, refuse
 from kraft.errors import Code, InputError
 
-STEPS_MAX: Final = 100_000  # of an edge, as many as the planner has memory for (`ompl_ext.query.MAX_STEPS`)
-ROUNDING: Final = 1e-9  # of the quotient of a duration and a step
+STEPS_MAX: Final = 100_000
+"""Most steps of an edge: as many as the planner has memory for (`ompl_ext.query.MAX_STEPS`)."""
+ROUNDING: Final = 1e-9
+"""Error of the quotient of a duration and a step."""
 DEFAULT_ITERATIONS: Final = 20_000
 EDGE_DURATION: Final = (0.5, 1.0)
 INTEGRATION_STEP: Final = 0.1

@@ -25,7 +25,8 @@ NOISE_POSES_MIN = 5
 """Least number of poses from which noise is measured."""
 OUTLIER_DEVIATIONS = 5.0
 """Deviation from the neighbours above which a pose is an outlier, in standard deviations."""
-MAD = 1.4826  # standard deviation per median absolute deviation of a normal distribution
+MAD = 1.4826
+"""Standard deviation per median absolute deviation of a normal distribution."""
 SPEED_INTERVAL: Final = 0.2
 """Time over which a speed is measured, s."""
 REST_SPEED_SHARE: Final = 0.1

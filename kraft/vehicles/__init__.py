@@ -47,7 +47,8 @@ def control_title(vehicle: Vehicle, name: str) -> str:
     return f"{words}, {unit}" if unit else words
 
 
-GRAVITY: Final = 9.81  # m/s^2
+GRAVITY: Final = 9.81
+"""Acceleration of a free fall, m/s^2."""
 STEEPEST: Final = math.sin(math.radians(40.0))
 """Largest slope of a floor, rise per metre of it; a force that stands for a larger one has another cause."""
 

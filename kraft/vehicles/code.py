@@ -186,7 +186,8 @@ def _place(module: ModuleType) -> str:
     return str(module.__file__ or module.__name__)
 
 
-_LINE_MAX = 160  # longest part of a message of numba to repeat, characters
+_LINE_MAX = 160
+"""Longest part of a message of numba to repeat, characters."""
 
 
 def check_functions(vehicle: Vehicle, reference: str) -> None:

@@ -27,7 +27,8 @@ REVERSE = -0.5
 """Lowest commanded speed of a side, m/s: with less, the wheels would slip in turns and when it brakes."""
 SIDES_BRAKING = 0.25
 """Commanded speed against the motion over the speed."""
-TINY = 1e-300  # avoids 0 / 0 where the acceleration is 0
+TINY = 1e-300
+"""Summand that avoids 0 / 0 where the acceleration is 0."""
 
 
 @derivative

@@ -30,9 +30,12 @@ from ompl_ext.memory import in_words
 from ompl_ext.query_tree import Progress
 from ompl_ext.vehicle import Vehicle
 
-PARAMETERS_MAX = 12  # of a vehicle, up to which those that are 0 are printed too; -v prints them all
-MUCH_MEMORY = 1_000_000_000  # bytes of maps from which on the need of memory is reported without -v too
-PROGRESS_INTERVAL = 5.0  # between two lines about a long search (s)
+PARAMETERS_MAX = 12
+"""Number of a vehicle's parameters up to which those that are 0 are printed too; -v prints them all."""
+MUCH_MEMORY = 1_000_000_000
+"""Size of the maps from which on the need of memory is reported without -v too, bytes."""
+PROGRESS_INTERVAL = 5.0
+"""Time between two lines about a long search, s."""
 
 
 class SearchReporter:
