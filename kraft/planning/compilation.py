@@ -55,7 +55,6 @@ MAPS_PART: Final = "the maps' kernels"
 HEADING: Final = "heading"
 SEARCH: Final = "search"
 """Files that mark what is compiled."""
-PLANNER: Final = "the planner and "
 OPTIONAL: Final = {"rollouts": "the rollouts", "sst": "the planner sst"}
 
 
@@ -92,8 +91,10 @@ def ensure_compiled(
 def ensure_all_compiled(needs: Iterable[Needs], report: MessageSink) -> None:
     """Compile what is needed of several vehicles and is not cached, which is reported as one compilation."""
     parts: dict[str, Callable[[], object]] = {}
+    with_planner = not _marker(SEARCH).exists()  # it is compiled with the first vehicle that is not cached
     for each in needs:
-        parts.update(_missing(each, parts))
+        parts.update(_missing(each, with_planner))
+        with_planner = with_planner and is_cached(each.vehicle)
     _compile(parts, report)
 
 
@@ -126,16 +127,16 @@ def _compile(parts: Mapping[str, Callable[[], object]], report: MessageSink) -> 
     report(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
 
 
-def _missing(needs: Needs, others: Mapping[str, object]) -> dict[str, Callable[[], object]]:
+def _missing(needs: Needs, with_planner: bool) -> dict[str, Callable[[], object]]:
     """Which parts that are needed are not cached, by name, each with the function that compiles it.
 
-    The planner itself is compiled with the first vehicle; `others` are the parts that are compiled before.
+    `with_planner` is whether the planner itself is compiled with the vehicle's model.
     """
     vehicle, polish = needs.vehicle, needs.polish or needs.heading
     parts: dict[str, Callable[[], object]] = {}
     if not is_cached(vehicle):
-        known = _marker(SEARCH).exists() or any(name.startswith(PLANNER) for name in others)
-        parts[f"{'' if known else PLANNER}the model of {vehicle.name}"] = partial(_exercise, vehicle)
+        planner = "the planner and " if with_planner else ""
+        parts[f"{planner}the model of {vehicle.name}"] = partial(_exercise, vehicle)
     elif not _marker(MAPS).exists():  # otherwise compiled with the planner
         parts[MAPS_PART] = compile_maps
     if needs.steps and not are_steps_cached(vehicle):
