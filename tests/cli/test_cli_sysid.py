@@ -19,7 +19,7 @@ from kraft.sysid import factor_graph as compilation
 from kraft.sysid.parameters import is_unknown_to_planning
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
-from kraft_cli.work import sysid as module
+from kraft_cli.work import sysid_fit as module
 from kraft_cli.work.sysid_request import SysidRequest, checked
 
 KEYS = {"model", "params", "rmse_train_m", "rmse_holdout_m", "logs", "converged", "iterations", "wall_s", "warnings"}

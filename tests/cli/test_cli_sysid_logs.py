@@ -12,7 +12,7 @@ from support.recorded import FOUR
 
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
-from kraft_cli.work import sysid as module
+from kraft_cli.work import sysid_fit as module
 
 pytestmark = pytest.mark.usefixtures("logs")
 

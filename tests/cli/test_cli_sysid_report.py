@@ -20,8 +20,10 @@ from kraft.sysid.parameters import parameter_specs
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import configured, load_vehicle
 from kraft_cli.work.next_drives import NextDrives, next_lines
-from kraft_cli.work.sysid import SysidRequest, SysidResult, _bounds_note, _braking_note
+from kraft_cli.work.sysid import SysidResult
+from kraft_cli.work.sysid_notes import bounds_note, braking_note
 from kraft_cli.work.sysid_report import BY_MODEL, choice_lines, model_caption
+from kraft_cli.work.sysid_request import SysidRequest
 
 
 @pytest.mark.parametrize(
@@ -67,10 +69,10 @@ def test_a_file_of_a_car_without_brakes_is_noted(least: float, says: bool) -> No
     assert isinstance(base.definition, VehicleConfig)
     config = base.definition.with_controls({"throttle": (least, 1.0), "steering": (-0.3, 0.3)})
     car = replace(base, definition=config, vehicle=configured(config))
-    noted = _braking_note(SysidRequest(logs=(), out=Path("car.yaml")), car)
+    noted = braking_note(SysidRequest(logs=(), out=Path("car.yaml")), car)
     assert bool(noted) == says
     assert all("car.yaml neither brakes nor drives backwards" in note for note in noted)
-    assert _braking_note(SysidRequest(logs=()), car) == ()
+    assert braking_note(SysidRequest(logs=()), car) == ()
     for note in noted:
         named = re.search(r"kraft record --commands FILE .* --vehicle of .* such as ([a-z0-9-]+)\)", note)
         assert named is not None
@@ -79,12 +81,12 @@ def test_a_file_of_a_car_without_brakes_is_noted(least: float, says: bool) -> No
 
 def test_bounds_that_nobody_states_are_noted_and_leave_an_offset_its_sign() -> None:
     known = load_base_vehicle("mushr-drive")
-    assert _bounds_note(SysidRequest(logs=()), known) == ()
+    assert bounds_note(SysidRequest(logs=()), known) == ()
     assert isinstance(known.definition, VehicleConfig)
     kept = {name: p for name, p in known.definition.parameters.items() if name == "L"}
     bare = known.definition.model_copy(update={"parameters": kept})
     base = replace(known, definition=bare, vehicle=configured(bare))
-    (noted,) = _bounds_note(SysidRequest(logs=(), out=Path("car.yaml")), base)
+    (noted,) = bounds_note(SysidRequest(logs=(), out=Path("car.yaml")), base)
     assert noted.startswith("nothing states min, max and std of phi_diff, v_delta, tau, u_0: bounds are assumed")
     assert noted.endswith("and written to car.yaml")
     bounds = {spec.name: (spec.min, spec.max, spec.unit) for spec in parameter_specs(bare, ())}
