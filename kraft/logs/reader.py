@@ -60,16 +60,7 @@ def read_logs(
         TypeError: if paths, controls or mapping are of another type.
     """
     given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
-    if other := [each for each in given if not isinstance(each, str | os.PathLike)]:
-        raise TypeError(f"paths: expected paths of files and folders, not {type(other[0]).__name__}")
-    if isinstance(controls, str) or not controls:
-        raise TypeError(f"controls: expected the names of a vehicle's controls, not {controls!r}")
-    if not isinstance(mapping, Mapping | None):
-        raise TypeError(f"mapping: expected the result of load_mapping, not {type(mapping).__name__}")
-    if "" in given:  # as a path it would be the working directory
-        raise InputError.of("logs", "there is an empty name", FORMATS)
-    if not given:
-        raise InputError.of("logs", "there are none to read", FORMATS, Code.MISSING)
+    _check_arguments(given, controls, mapping)
     stated = mapping or Mapping()
     candidates, problems = discover([Path(path) for path in given], controls, stated)
     read: list[tuple[Log, Choice]] = []
@@ -105,6 +96,24 @@ def read_logs(
             raise MismatchError([*places, *wrong])
         raise InputError(problems)
     return LogSet(tuple(logs), tuple(dict.fromkeys(problems)))
+
+
+def _check_arguments(paths: Sequence[object], controls: object, mapping: object) -> None:
+    """Check the types of the arguments of `read_logs`, and that there is something to read.
+
+    Raises:
+        InputError, TypeError: as `read_logs`.
+    """
+    if other := [each for each in paths if not isinstance(each, str | os.PathLike)]:
+        raise TypeError(f"paths: expected paths of files and folders, not {type(other[0]).__name__}")
+    if isinstance(controls, str) or not controls:
+        raise TypeError(f"controls: expected the names of a vehicle's controls, not {controls!r}")
+    if not isinstance(mapping, Mapping | None):
+        raise TypeError(f"mapping: expected the result of load_mapping, not {type(mapping).__name__}")
+    if "" in paths:  # as a path it would be the working directory
+        raise InputError.of("logs", "there is an empty name", FORMATS)
+    if not paths:
+        raise InputError.of("logs", "there are none to read", FORMATS, Code.MISSING)
 
 
 def _common(candidates: Sequence[Candidate]) -> str:

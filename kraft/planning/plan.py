@@ -132,17 +132,7 @@ def plan_task(
     state = start_state(task, vehicle) if previous is None else previous.state
     check_placement(task, vehicle, state, previous.origin if previous else None)
     began = clock.perf_counter()
-    workspace, safety, settings = workspace_of(task, vehicle), safety_of_task(task), settings_of(task, vehicle)
-    goal = goal_of(task)
-    dirt = DirtSolver(vehicle, workspace, goal, safety, settings, threads=threads)
-    slack = dirt.start(state, seed)
-    is_coarse = settings.excess == 0.0 and not goal.has_heading  # for a goal with a heading the cover is fine
-    free = _distance(dirt, state) if slack < 0.0 and is_coarse and not _beyond_limits(vehicle, state) else 0.0
-    for excess in FINER:
-        if slack < 0.0 and free > excess * vehicle.footprint.width:  # free, but too near for few discs
-            settings = replace(settings, excess=excess)
-            dirt = DirtSolver(vehicle, workspace, goal, safety, settings, threads=threads)
-            slack = dirt.start(state, seed)
+    dirt, settings, slack = _started_solver(task, vehicle, state, seed, threads)
     setup_seconds = clock.perf_counter() - began
     budget = budget or budget_of(task)
     reason = _infeasible_start(dirt, state, slack)
@@ -154,10 +144,32 @@ def plan_task(
     plan, unfit = _accepted(found, verification, seed)
     reason = reason or unfit or _failure_reason(task, vehicle, plan, found.progress)
     judged = verification if plan is not None else None
-    used = settings_for(settings, vehicle, workspace, dirt.goal)
+    used = settings_for(settings, vehicle, dirt.workspace, dirt.goal)
     return PlanResult(
         plan, dirt.tree(), found.progress, judged, reason, budget, used, seed, setup_seconds, verify_seconds, threads
     )
+
+
+def _started_solver(
+    task: Task, vehicle: Vehicle, state: Floats, seed: int, threads: int
+) -> tuple[DirtSolver, Settings, float]:
+    """A solver that is started in a state (nx,), its settings, and the slack of the clearance there, m.
+
+    Where the footprint is free, but the discs of the task's settings are not, it has the first of the finer covers
+    `FINER` whose discs are.
+    """
+    workspace, safety, settings = workspace_of(task, vehicle), safety_of_task(task), settings_of(task, vehicle)
+    goal = goal_of(task)
+    dirt = DirtSolver(vehicle, workspace, goal, safety, settings, threads=threads)
+    slack = dirt.start(state, seed)
+    is_coarse = settings.excess == 0.0 and not goal.has_heading  # for a goal with a heading the cover is fine
+    free = _distance(dirt, state) if slack < 0.0 and is_coarse and not _beyond_limits(vehicle, state) else 0.0
+    for excess in FINER:
+        if slack < 0.0 and free > excess * vehicle.footprint.width:  # free, but too near for few discs
+            settings = replace(settings, excess=excess)
+            dirt = DirtSolver(vehicle, workspace, goal, safety, settings, threads=threads)
+            slack = dirt.start(state, seed)
+    return dirt, settings, slack
 
 
 def finds_plan(task: Task, vehicle: Vehicle, iterations: int, seed: int = 0) -> bool:
