@@ -21,7 +21,7 @@ from benchmarks.parallel import each, grouped_interval, interval, planning_vehic
 from benchmarks.random_arenas import random_arena
 from benchmarks.report import Report, Row, Target, row
 from kraft.driving.method import Method, load_method
-from kraft.simulation.true_world import ModelWorld
+from kraft.simulation.model_world import ModelWorld
 from kraft.trial.measures import farthest_point
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial

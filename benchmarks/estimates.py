@@ -20,7 +20,7 @@ from benchmarks.parallel import each, planning_vehicle
 from benchmarks.report import Report, row
 from kraft.driving.method import load_method
 from kraft.scenario import load_scenario
-from kraft.simulation.true_world import ModelWorld
+from kraft.simulation.model_world import ModelWorld
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle

@@ -15,7 +15,8 @@ from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.scenario.truth import VehicleGap
 from kraft.simulation.car import MUSHR
-from kraft.simulation.true_world import ModelWorld, TrueWorld
+from kraft.simulation.model_world import ModelWorld
+from kraft.simulation.true_world import TrueWorld
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
 

@@ -17,7 +17,8 @@ from kraft.errors import Code, InputError
 from kraft.planning.workspace import workspace_of
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
 from kraft.simulation.car import F1TENTH, MUSHR, design_of
-from kraft.simulation.true_world import ModelWorld, TrueWorld, check_world, world_of
+from kraft.simulation.model_world import ModelWorld
+from kraft.simulation.true_world import TrueWorld, check_world, world_of
 from kraft.simulation.world import World
 from kraft.trial.planning_vehicle import check_robot
 from kraft.vehicles.load import load_vehicle
