@@ -56,6 +56,8 @@ PROBES = 2
 """Attempts at retaining the remainder to find out whether a higher level is worth a search."""
 PROBES_HIGHER = 4
 """Attempts in a search at a level above that of the last plan, whose remainder is the fallback."""
+CYCLE_SEEDS = 100_003
+"""Difference between the seeds of a cycle in two trials whose seeds are consecutive: more than a trial has cycles."""
 LOSS_CANDIDATES = 20
 """Next best plans that are examined for room for a loss of commands if the best one has none."""
 
@@ -288,7 +290,7 @@ class Proposer:
         return retain(dirt, query.root, remainder, begun) is PlanLoss.NONE
 
     def _seed_of(self, number: int) -> int:
-        return self._seed * 100_003 + number
+        return self._seed * CYCLE_SEEDS + number
 
     def _propose_geodesic(self, root: Floats, drives: bool) -> Proposal:
         """Path of least cost-to-go; a vehicle that stopped (not `drives`) or does not get on keeps less of the bound.

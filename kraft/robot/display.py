@@ -21,6 +21,7 @@ from ompl_ext.vehicle import Vehicle
 CELL: Final = 0.05
 """Side of a cell of the map, m; larger if the map would have more than CELLS_MAX cells."""
 CELLS_MAX: Final = 4_000_000
+"""Largest number of cells of the map."""
 TREE_EDGES: Final = 1500
 """Largest number of edges of the tree that are sent."""
 _CUBE, _CYLINDER, _LINES, _TEXT = 1, 3, 5, 9

@@ -16,8 +16,9 @@ WINDOW: Final = 10_000_000_000
 SHORTEST: Final = 200_000_000
 """Shortest such time, ns."""
 STANDS: Final = 500_000_000
-"""Time without a later stamp after which a simulation is paused, ns; GAPS times the usual one if that is more."""
+"""Time without a later stamp after which a simulation is paused, ns, ..."""
 GAPS: Final = 5
+"""... or this many times the usual time between two stamps, if that is more."""
 BACK: Final = 200_000_000
 """Time by which a stamp is earlier than the last one if another simulation has begun, and not only late, ns."""
 LOOK: Final = 0.05

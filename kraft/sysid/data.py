@@ -17,9 +17,11 @@ if TYPE_CHECKING:
 
 
 POSES_MIN = 5
+"""Least number of poses of a part that is used."""
 MOTION_MIN = 0.05
 """Least distance from the first poses that counts as motion, m."""
 HOLDOUT_FRACTION: Final = 0.25
+"""Share of the logs that is held out by default."""
 HOLDOUT_LOGS_MIN: Final = 4
 """Number of logs below which none is held out by default: the fit needs them all."""
 

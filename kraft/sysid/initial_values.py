@@ -23,8 +23,11 @@ from ompl_ext.vehicle import Vehicle
 COMPARED_LENGTH = 1.0
 """Length of the windows that are compared, s."""
 CANDIDATES = 128
+"""Number of values of the parameters, spread evenly between their bounds, that are compared, ..."""
 REFINED = 6
+"""... of the best ones that are refined, ..."""
 REFINEMENT_ITERATIONS = 12
+"""... and of the steps of that."""
 CHAINS_MAX, STEPS_MAX = 12, 400
 """Most chains and steps that the search uses; more would hardly improve the initial values."""
 LOGARITHMIC_RATIO = 5.0

@@ -37,6 +37,7 @@ CONVERGED = 1e-5
 NEARLY_LINEAR = 0.01
 """Relative decrease of the cost by a step up to which derivatives are kept for the next one."""
 DAMPING_INITIAL, DAMPING_MIN, DAMPING_MAX = 1e-3, RIDGE, 1e7
+"""Damping of the first step, the least one, and the one beyond which a fit has converged if its step is refused."""
 VARIATION_MIN = 0.1
 """Least share of the variation before that a new estimate may be, and of the estimate that the one before may be."""
 MISFIT_FREEDOM = 3.0

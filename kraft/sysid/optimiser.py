@@ -47,6 +47,7 @@ RELAXATIONS = 2
 DAMPING_INITIAL = 1e-4
 DAMPING_MIN = 1e-9
 DAMPING_MAX = 1e10
+"""Damping of the first step, the least one, and the one from which on no step is tried any more."""
 RIDGE = 1e-6
 """Share by which the information of each parameter is raised in the choice of terms, so that it is never singular:
 drives that only go forward do not tell a dead zone from friction, and predictions do not depend on which it is."""

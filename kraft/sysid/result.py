@@ -11,6 +11,7 @@ from kraft.sysid.parameters import Parameters
 from ompl_ext.arrays import Floats
 
 TURN_SECONDS, TURN_STEP = 3.0, 0.02
+"""Duration of a simulated turn, and its steps, s."""
 TURN_STEERING_SHARE = 0.1
 """Steering of the simulated turn, as a share of the full steering."""
 

@@ -43,9 +43,11 @@ OFFSET_WIDTH: Final = 1.0
 RATE_SPAN: Final = 0.6
 """Time over which the yaw rate of different logs is compared, s."""
 GROUP_LOGS_MIN: Final = 4
+"""Least number of logs among which groups are sought."""
 GROUP_TIME_MIN: Final = 20.0
 """Least duration of the logs of a group, s: a few seconds may differ by chance."""
 GROUP_ROUNDS: Final = 20
+"""Most rounds in which logs change from one group to the other, from each beginning."""
 GROUP_DELAYS: Final = (0.1, 0.3)
 """Delays of the response with which groups are sought, s: that of a mixture would say nothing about either."""
 GRIP_QUANTILES: Final = (0.4, 0.8)
