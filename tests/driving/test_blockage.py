@@ -121,12 +121,12 @@ def test_plans_lead_round_what_blocks_the_vehicle() -> None:
     cycles = held(subject, 8, start())
     stopped = next(k for k, cycle in enumerate(cycles) if cycle.reason)
     assert [len(cycle.blocked) for cycle in cycles] == [0] * stopped + [1] * (8 - stopped)
-    assert cycles[-1].blocked == subject._blocked
+    assert cycles[-1].blocked == subject.blocked
     assert [cycle.held for cycle in cycles if cycle.held is not None] == [(0.0, cycles[stopped].decided)]
     assert cycles[stopped].held is not None
     plan = subject._proposal.plan
     assert plan is not None
-    obstacle = Workspace(subject.dirt.workspace.bounds, subject._blocked)
+    obstacle = Workspace(subject.dirt.workspace.bounds, subject.blocked)
     away = ExactClearance(obstacle, subject.dirt.vehicle.footprint).distances(poses_of(plan.trajectory, mushr()))
     assert away.min() > 0.0
 
@@ -142,7 +142,7 @@ def test_the_maps_of_what_blocks_the_vehicle_are_made_after_the_decision() -> No
         if cycle.blocked:
             break
         subject.prepare()
-    assert subject._blocked
+    assert subject.blocked
     subject.prepare()
     assert len(subject.dirt.workspace.obstacles) == len(before.workspace.obstacles) + 1
 
@@ -165,7 +165,7 @@ def test_what_blocked_the_vehicle_is_forgotten_where_it_leaves_no_way() -> None:
     subject._block((wall,), "")
     cycles = held(subject, round(FORGET / CYCLE) + 4, start())
     assert any("no way leads round" in cycle.reason for cycle in cycles)
-    assert cycles[-1].blocked == subject._blocked == ()
+    assert cycles[-1].blocked == subject.blocked == ()
     assert subject._blockage is not None
     assert subject._blockage._patience == 2.0 * PATIENCE
 
