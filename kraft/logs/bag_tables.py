@@ -59,7 +59,7 @@ def read_bag(path: Path, topics: Iterable[str]) -> tuple[Table, ...]:
     """
     wanted = set(topics)
     try:
-        with AnyReader([path], default_typestore=_typestore()) as reader:
+        with AnyReader([path], default_typestore=typestore()) as reader:
             known = {c.topic: c.msgtype for c in reader.connections}
             chosen = [c for c in reader.connections if c.topic in wanted or _is_read(c)]
             _check_types(path, chosen, reader.connections)
@@ -82,14 +82,17 @@ def read_bag(path: Path, topics: Iterable[str]) -> tuple[Table, ...]:
 
 
 @cache
-def _typestore() -> Typestore:
-    """Types for bags that hold no definitions: ROS 2 wrote none into SQLite before Iron."""
+def typestore() -> Typestore:
+    """Definitions of messages: those of ROS 2 Humble, which Iron and Jazzy share, and ackermann_msgs.
+
+    Bags that hold no definitions are read with them: ROS 2 wrote none into SQLite before Iron.
+    """
     store = get_typestore(Stores.ROS2_HUMBLE)
-    register_ackermann(store)
+    _register_ackermann(store)
     return store
 
 
-def register_ackermann(store: Typestore) -> None:
+def _register_ackermann(store: Typestore) -> None:
     """Add the types of ackermann_msgs that carry commands, which rosbags does not have."""
     store.register(get_types_from_msg(_ACKERMANN, "ackermann_msgs/msg/AckermannDrive"))
     stamped = "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n"

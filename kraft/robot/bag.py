@@ -21,6 +21,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from kraft.driving.messages import Cycle
 from kraft.errors import Code, InputError
 from kraft.files import check_writable, file_mode, unwritable
+from kraft.logs.bag_tables import typestore
 from kraft.recording.recorder import Recording
 from kraft.robot.display import Frames, cycle_messages, occupancy_grid, scene_markers
 from kraft.robot.messages import (
@@ -35,7 +36,6 @@ from kraft.robot.messages import (
     stamped_pose,
     to_cdr,
     transform,
-    types,
 )
 from kraft.scenario import Task
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
@@ -120,7 +120,7 @@ class BagWriter:
         connection = self._connections.get(topic)
         if connection is None:
             quality = [_latched_quality()] if topic in LATCHED else []
-            connection = self._writer.add_connection(topic, kind, typestore=types(), offered_qos_profiles=quality)
+            connection = self._writer.add_connection(topic, kind, typestore=typestore(), offered_qos_profiles=quality)
             self._connections[topic] = connection
         self._writer.write(connection, time, content)
 

@@ -8,14 +8,11 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
 from typing import Any, Final
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 
-from kraft.logs.bag_tables import register_ackermann
+from kraft.logs.bag_tables import typestore
 from ompl_ext.arrays import Floats, Matrix
 
 ACKERMANN: Final = "ackermann_msgs/msg/AckermannDriveStamped"
@@ -45,17 +42,9 @@ _DTYPES: Final = {
 }  # fmt: skip
 
 
-@cache
-def types() -> Typestore:
-    """Definitions of the messages: those of ROS 2 Humble, which Iron and Jazzy share, and ackermann_msgs."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    register_ackermann(store)
-    return store
-
-
 def is_known(kind: str) -> bool:
     """Whether a type such as ``nav_msgs/msg/Odometry`` is defined."""
-    return kind in types().fielddefs
+    return kind in typestore().fielddefs
 
 
 def make(kind: str, **values: Any) -> Any:
@@ -66,12 +55,12 @@ def make(kind: str, **values: Any) -> Any:
     Raises:
         KeyError: if there is no such type or field.
     """
-    fields = types().fielddefs[kind][1]
+    fields = typestore().fielddefs[kind][1]
     unknown = set(values) - {name for name, _ in fields}
     if unknown:
         raise KeyError(f"{kind} has no field {', '.join(sorted(unknown))}")
     made = {name: _value(node, values.get(name)) for name, node in fields}
-    return types().types[kind](**made)
+    return typestore().types[kind](**made)
 
 
 def _value(node: Any, given: Any) -> Any:
@@ -103,7 +92,7 @@ def _scalar(kind: str, given: Any) -> Any:
 
 def to_cdr(message: Any) -> bytes:
     """CDR bytes (little-endian, with header) of a message."""
-    return bytes(types().serialize_cdr(message, message.__msgtype__))
+    return bytes(typestore().serialize_cdr(message, message.__msgtype__))
 
 
 def from_cdr(content: bytes, kind: str) -> Any:
@@ -112,12 +101,12 @@ def from_cdr(content: bytes, kind: str) -> Any:
     Raises:
         Exception: of any type, if the bytes are not such a message.
     """
-    return types().deserialize_cdr(content, kind)
+    return typestore().deserialize_cdr(content, kind)
 
 
 def to_json(message: Any, ros: int = 2) -> dict[str, Any]:
     """Message as rosbridge writes it: numbers that are not finite are null; `ros` is the version of the names."""
-    fields = types().fielddefs[message.__msgtype__][1]
+    fields = typestore().fielddefs[message.__msgtype__][1]
     content = {name: _plain(getattr(message, name), ros) for name, _ in fields}
     if ros == 1:
         return _ros1(content)
@@ -160,7 +149,7 @@ def from_json(content: Mapping[str, Any], kind: str) -> Any:
     try:
         values = {
             name: _from_plain(node, content[key])
-            for name, node in types().fielddefs[kind][1]
+            for name, node in typestore().fielddefs[kind][1]
             if (key := name if name in content else _ROS1_NAMES.get(name, name)) in content
         }
         return make(kind, **values)

@@ -9,8 +9,9 @@ from functools import cache
 from typing import Any, Final
 
 from kraft.errors import Code, InputError, MissingDependency
+from kraft.logs.bag_tables import typestore
 from kraft.provenance import install_command
-from kraft.robot.messages import from_cdr, to_cdr, types
+from kraft.robot.messages import from_cdr, to_cdr
 from kraft.robot.robot_file import Ros2
 from kraft.robot.transport import Peers, Receive, Receiver, Refused
 
@@ -65,7 +66,7 @@ def dds_topic(topic: str) -> str:
 @cache
 def _structure(kind: str) -> Any:
     """Type description of messages, from the definitions of rosbags."""
-    fields = {name: _field(node) for name, node in types().fielddefs[kind][1]}
+    fields = {name: _field(node) for name, node in typestore().fielddefs[kind][1]}
     return idl.make_idl_struct(kind.replace("/", "_"), dds_type(kind).replace("::", "."), fields)
 
 
