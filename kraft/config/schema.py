@@ -304,7 +304,7 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
     return source.diagnostic(path, detail["msg"][:1].lower() + detail["msg"][1:], f"expected another value{about}")
 
 
-def _missing(source: Source, path: KeyPath, known: Known, discriminator: str) -> Diagnostic:
+def _missing(source: Source, path: KeyPath, known: KeySchema, discriminator: str) -> Diagnostic:
     if discriminator:
         path, expected = (*path, discriminator), "expected which one it is"
     elif isinstance(path[-1], int):  # an item of a list of fixed length
@@ -340,7 +340,7 @@ def describe(value: object) -> str:
 
 
 @dataclass(frozen=True)
-class Known:
+class KeySchema:
     """Description, type, keys and their synonyms, choices and length that the schema has for one place."""
 
     description: str | None = None
@@ -351,11 +351,11 @@ class Known:
     synonyms: Mapping[str, str] = field(default_factory=dict)
 
 
-def lookup(model: type[BaseModel], path: KeyPath) -> Known:
+def lookup(model: type[BaseModel], path: KeyPath) -> KeySchema:
     """Schema at a key path of pydantic's."""
     annotation, description, length = _follow(model, path)
     if annotation is None:
-        return Known()
+        return KeySchema()
     annotation = _bare(annotation)
     keys: tuple[str, ...] = ()
     synonyms: Mapping[str, str] = {}
@@ -363,7 +363,7 @@ def lookup(model: type[BaseModel], path: KeyPath) -> Known:
         keys = tuple(_fields(annotation))
         synonyms = annotation.synonyms if issubclass(annotation, StrictModel) else {}
     choices = tuple(str(c) for c in get_args(annotation)) if get_origin(annotation) is Literal else ()
-    return Known(description, annotation, keys, choices, length, synonyms)
+    return KeySchema(description, annotation, keys, choices, length, synonyms)
 
 
 def in_file(model: type[BaseModel], path: KeyPath) -> KeyPath:

@@ -11,7 +11,7 @@ import numpy as np
 
 from kraft.sysid.initial_values import SmoothedPoses
 from kraft.sysid.interface import AT_BOUND, CORRELATION_HIGH, correlations
-from kraft.sysid.optimiser import Optimum, Uncertainty
+from kraft.sysid.optimiser import Optimum, ParameterUncertainty
 from kraft.sysid.parameters import Parameters, ParameterSpec
 from kraft.sysid.problem import Problem, residual_ratio
 from kraft.text import counted
@@ -113,7 +113,7 @@ class SolvedProblem:
 
     problem: Problem
     optimum: Optimum
-    uncertainty: Uncertainty
+    uncertainty: ParameterUncertainty
     data: SmoothedPoses
     logs: Sequence[str]
     """names"""

@@ -21,7 +21,7 @@ from kraft.sysid.optimiser import (
     LinearisedGraph,
     OnIteration,
     Optimum,
-    Uncertainty,
+    ParameterUncertainty,
     estimate_uncertainty,
     held_at_bounds,
     ignore_iteration,
@@ -123,7 +123,7 @@ class _Fit:
 
     problem: Problem
     optimum: Optimum
-    uncertainty: Uncertainty
+    uncertainty: ParameterUncertainty
 
 
 class _Estimator:

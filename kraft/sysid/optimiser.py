@@ -257,7 +257,7 @@ SANDWICH_LOGS_MIN = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Uncertainty:
+class ParameterUncertainty:
     """Covariances of the free parameters."""
 
     kind: Literal["graph", "sandwich"]
@@ -278,7 +278,7 @@ class Uncertainty:
         return std
 
 
-def estimate_uncertainty(factors: RhoFactors, free: Bools, held: Bools) -> Uncertainty:
+def estimate_uncertainty(factors: RhoFactors, free: Bools, held: Bools) -> ParameterUncertainty:
     """The sandwich covariance from five logs up, the graph's below.
 
     Args:
@@ -291,7 +291,9 @@ def estimate_uncertainty(factors: RhoFactors, free: Bools, held: Bools) -> Uncer
     graph = inverse(total)
     logs = len(factors.information)
     if logs < 2:
-        return Uncertainty("graph", graph, graph, float(ndtri(0.975)), np.zeros((logs, len(total))), held[free])
+        return ParameterUncertainty(
+            "graph", graph, graph, float(ndtri(0.975)), np.zeros((logs, len(total))), held[free]
+        )
     shifts = np.array(
         [
             _shift(total - information[chosen], gradient[free], held[free])
@@ -299,10 +301,10 @@ def estimate_uncertainty(factors: RhoFactors, free: Bools, held: Bools) -> Uncer
         ]
     )
     if logs < SANDWICH_LOGS_MIN:
-        return Uncertainty("graph", graph, graph, float(ndtri(0.975)), shifts, held[free])
+        return ParameterUncertainty("graph", graph, graph, float(ndtri(0.975)), shifts, held[free])
     centred = shifts - shifts.mean(axis=0)
     sandwich = (logs - 1) / logs * centred.T @ centred
-    return Uncertainty("sandwich", graph, sandwich, float(stdtrit(logs - 1, 0.975)), shifts, held[free])
+    return ParameterUncertainty("sandwich", graph, sandwich, float(stdtrit(logs - 1, 0.975)), shifts, held[free])
 
 
 def _shift(rest: Matrix, gradient: Floats, held: Bools) -> Floats:

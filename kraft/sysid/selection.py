@@ -20,7 +20,7 @@ import numpy as np
 from kraft.errors import Code, Diagnostic, InputError, out_of_range
 from kraft.logs.log import Log
 from kraft.sysid.interface import CORRELATION_REMOVED, GRAPHS, SELECTIONS, Settings
-from kraft.sysid.optimiser import Optimum, Uncertainty, held_at_bounds, inverse
+from kraft.sysid.optimiser import Optimum, ParameterUncertainty, held_at_bounds, inverse
 from kraft.sysid.parameters import (
     DELAY_MIN,
     Parameters,
@@ -92,7 +92,7 @@ def selection_note(candidates: tuple[str, ...], kept: tuple[str, ...], requested
 
 
 def selected(
-    parameters: Parameters, rho: Floats, uncertainty: Uncertainty, requested: frozenset[str]
+    parameters: Parameters, rho: Floats, uncertainty: ParameterUncertainty, requested: frozenset[str]
 ) -> tuple[str, ...]:
     """Auxiliary parameters to keep; `requested` and frozen ones are always kept."""
     names = parameters.free_names
@@ -114,7 +114,7 @@ def selected(
     return tuple(name for name in parameters.auxiliary if name not in dropped)
 
 
-def _reduced(rho: Floats, uncertainty: Uncertainty, remaining: list[int]) -> tuple[Floats, Matrix, Matrix]:
+def _reduced(rho: Floats, uncertainty: ParameterUncertainty, remaining: list[int]) -> tuple[Floats, Matrix, Matrix]:
     """Values (remaining,) if the other parameters were 0, and covariances of the graph and as reported."""
     information = inverse(uncertainty.graph)
     graph = inverse(information[np.ix_(remaining, remaining)])

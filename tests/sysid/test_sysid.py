@@ -18,7 +18,7 @@ from benchmarks.sysid import NOISE, PLAIN, STATED, TRUTH, real_logs, ten_times_s
 from kraft.errors import Code, InputError
 from kraft.logs.log import Log, Part
 from kraft.sysid import Identification, Noise, Settings, identify, predict_windows, prediction_errors
-from kraft.sysid.optimiser import Uncertainty, estimate_uncertainty
+from kraft.sysid.optimiser import ParameterUncertainty, estimate_uncertainty
 from kraft.sysid.parameters import parameter_specs, without_bounds
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import load_vehicle
@@ -246,7 +246,7 @@ def test_one_constant_circle_asks_for_the_other_side() -> None:
 def test_what_is_hardly_told_apart_follows_from_the_correlation_that_is_reported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def alike(*given: Any) -> Uncertainty:
+    def alike(*given: Any) -> ParameterUncertainty:
         found = estimate_uncertainty(*given)
         covariance = found.covariance.copy()
         covariance[0, 3] = covariance[3, 0] = -0.96 * np.sqrt(covariance[0, 0] * covariance[3, 3])

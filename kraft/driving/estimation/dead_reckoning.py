@@ -25,7 +25,7 @@ Advance = Callable[[Floats, Held], Floats]
 """Function from a state (nx,) to the state (nx,) after held controls."""
 
 
-class Commands:
+class CommandHistory:
     """History of commands: each control (nu,) is held until the next one; before the first one `rest` is held.
 
     A command acts `delay` s after its time.
@@ -72,7 +72,7 @@ class DeadReckoning:
 
     def __init__(self, advance: Advance, rest: Floats, state: Floats) -> None:
         self._advance = advance
-        self.commands = Commands(rest)
+        self.commands = CommandHistory(rest)
         self.reset(0.0, state)
 
     def reset(self, time: float, state: Floats, keep: float = math.inf) -> None:
