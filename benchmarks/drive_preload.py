@@ -1,6 +1,6 @@
 """What the server of `benchmarks.drive_server` imports and loads before it forks."""
 
-from kraft.robot.drive import Planner
+from kraft.robot.planner import Planner
 from kraft.robot.tracker import warm_up
 from kraft_cli.work.drive import DriveRequest, resolve
 

@@ -54,7 +54,7 @@ class Blockage:
         self._begin = self._since = self._on_plan = self._intended = 0.0
 
     def doubt(self) -> None:
-        """Wait twice as long from now on: what was found was nothing that a way leads round, maybe nothing at all."""
+        """Wait twice as long from now on: no way led round what was found, which may be no obstacle at all."""
         self._patience *= 2.0
 
     def observe(self, time: float, state: Floats, reference: Reference, acceleration: float = 0.0) -> Blocked | None:

@@ -1,8 +1,4 @@
-"""A drive on the wall clock: this process plans, another one controls, and a third one guards the controller.
-
-The planner's process has a mirror of the controller's estimator, so that the identification, which takes tens of
-milliseconds, does not hold up the controller.
-"""
+"""A drive on the wall clock: this process plans, another one controls, and a third one guards the controller."""
 
 from __future__ import annotations
 
@@ -12,50 +8,38 @@ import math
 import os
 import signal
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.driving.car_model import model_of
-from kraft.driving.control import make_controller, needs_map
-from kraft.driving.estimation import make_estimator
-from kraft.driving.estimation.adaptive import AdaptiveEstimator
-from kraft.driving.messages import Cycle, Estimate, ReferenceKind
+from kraft.driving.control import needs_map
+from kraft.driving.messages import Cycle, ReferenceKind
 from kraft.driving.method import Method, Oracle
-from kraft.driving.replanner import Replanner
-from kraft.driving.solvers import Solvers
 from kraft.errors import Code, Diagnostic, InputError, KraftError
 from kraft.files import LineFile
-from kraft.planning.feasibility import geodesic_time, goal_hit
 from kraft.robot.connect import check_transport
 from kraft.robot.control import run_control
 from kraft.robot.guard import run_guard
 from kraft.robot.journal import add_event
-from kraft.robot.maps import run_maps, with_map
+from kraft.robot.maps import run_maps
+from kraft.robot.planner import Planner
 from kraft.robot.priority import preferred_planner, process_context, short_collections, shorten_collections
 from kraft.robot.protocol import (
-    Begin,
     Check,
     Checked,
     DriveSpec,
     Ended,
-    Planned,
     PlanRequest,
     Sense,
     Status,
     StopOrder,
     TaskChange,
-    TaskTaken,
-    moved_goal,
 )
 from kraft.robot.tracker import warm_up
-from kraft.scenario import OccupancyMap, Task
 from kraft.trial.result import cycle_content
-from ompl_ext.arrays import Floats
-from ompl_ext.poses import pose_of
 from ompl_ext.signals import STOPPING
 from ompl_ext.times import SAME_TIME
 
@@ -108,6 +92,16 @@ class DriveResult:
     """why some of its files end before the drive"""
     signal: int = 0
     """number of the signal that stopped it, 0 if none did"""
+
+
+@dataclass(frozen=True)
+class _Callbacks:
+    """Functions that are told of a drive, see `drive`."""
+
+    on_check: Callable[[Checked], None]
+    on_cycle: Callable[[Cycle], None]
+    on_status: Callable[[Status], None]
+    on_sense: Callable[[Sense], None]
 
 
 def on_the_clock(method: Method) -> Method:
@@ -179,12 +173,12 @@ def drive(
     check_transport(spec.robot)
     warm_up(spec)  # for all processes, where they are forks
     with short_collections():  # which would also copy memory that they share
-        return _drive_in_processes(spec, (on_check, on_cycle, on_status, on_sense), keep_trees, on_abandon)
+        return _drive_in_processes(spec, _Callbacks(on_check, on_cycle, on_status, on_sense), keep_trees, on_abandon)
 
 
 def _drive_in_processes(
     spec: DriveSpec,
-    report: tuple[Any, Any, Any, Any],
+    tell: _Callbacks,
     keep_trees: bool,
     on_abandon: Callable[[DriveResult], object] | None,
 ) -> DriveResult:
@@ -228,7 +222,7 @@ def _drive_in_processes(
 
     try:
         with preferred_planner(), _interrupts(lambda: send(StopOrder("by a signal")), abandon) as received:
-            result = _drive(spec, here, process, send, report, keep_trees, known)
+            result = _drive(spec, here, process, send, tell, keep_trees, known)
             return replace(result, signal=received[0] if received else 0)
     finally:
         here.close()
@@ -239,10 +233,9 @@ def _drive_in_processes(
 
 
 def _drive(
-    spec: DriveSpec, here: Connection, process: Any, send: Callable[[Any], None], report: tuple[Any, Any, Any, Any],
+    spec: DriveSpec, here: Connection, process: BaseProcess, send: Callable[[Any], None], tell: _Callbacks,
     keep_trees: bool, known: Known,
 ) -> DriveResult:  # fmt: skip
-    on_check, on_cycle, on_status, on_sense = report
     planner = Planner(spec, keep_trees)
     checked, decisions = known.checked, known.decisions
     cycles = CycleFile(spec.folder)
@@ -250,10 +243,10 @@ def _drive(
         if isinstance(message, KraftError):
             raise message
         if isinstance(message, Check):
-            on_check(Checked((message,), None))
+            tell.on_check(Checked((message,), None))
         elif isinstance(message, Checked):
             checked = known.checked = message
-            on_check(checked)
+            tell.on_check(checked)
             if not checked.passed or checked.pose is None:
                 send(StopOrder("the check list failed"))
                 return DriveResult(checked, None)
@@ -264,17 +257,17 @@ def _drive(
             send(answer)
             decisions.add(answer.cycle)
             if problem := cycles.append(answer.cycle):
-                on_status(Status(answer.cycle.time, math.nan, 0, 0, f"the drive goes on, but {problem}"))
+                tell.on_status(Status(answer.cycle.time, math.nan, 0, 0, f"the drive goes on, but {problem}"))
             planner.prepare()
-            on_sense(message.sense)
-            on_cycle(replace(answer.cycle, tree=tree))
+            tell.on_sense(message.sense)
+            tell.on_cycle(replace(answer.cycle, tree=tree))
         elif isinstance(message, TaskChange):
             send(planner.change(message))
         elif isinstance(message, Status):
-            on_status(message)
+            tell.on_status(message)
         elif isinstance(message, Ended):
             if message.sense is not None:
-                on_sense(message.sense)
+                tell.on_sense(message.sense)
             unwritten = tuple(dict.fromkeys(each for each in (cycles.problem, message.unwritten) if each))
             return DriveResult(checked, message, decisions, unwritten)
     reason = f"the controller's process ended with {process.exitcode}"
@@ -282,7 +275,7 @@ def _drive(
     return DriveResult(checked, Ended("stopped", reason, decisions.last), decisions, unwritten)
 
 
-def _messages(here: Connection, process: Any) -> Iterator[Any]:
+def _messages(here: Connection, process: BaseProcess) -> Iterator[Any]:
     """Messages of the controller until its process ends."""
     while True:
         ready = wait([here, process.sentinel])
@@ -319,110 +312,6 @@ class CycleFile:
         except InputError as error:
             self.problem = str(error)
         return self.problem
-
-
-class Planner:
-    """The replanner with a mirror of the controller's estimator."""
-
-    def __init__(self, spec: DriveSpec, keep_trees: bool = False) -> None:
-        self._spec, self._keep_trees = spec, keep_trees
-        self._task = spec.task
-        self._replanner: Replanner | None = None
-
-    def begin(self, pose: tuple[float, float, float], grid: OccupancyMap | None = None) -> Begin:
-        """Plan the first cycle from where the vehicle stands, around the robot's map too."""
-        spec = self._spec
-        self._task = changed(self._task, None, grid)
-        method, vehicle = spec.method, spec.vehicle
-        assert not isinstance(method.estimator, Oracle), "it was checked"
-        state = self._state = spec.at_rest(pose)
-        self._model = model_of(vehicle)
-        self._estimator = make_estimator(method.estimator, self._model, state, spec.camera)
-        self._solvers = Solvers.of(self._task, vehicle, method.planner)
-        self._replanner = self._new_replanner()
-        self._warm_up(state)
-        return Begin(state, self._replanner.begin(state, self._estimator.uncertainty(0.0)))
-
-    def _warm_up(self, state: Floats) -> None:
-        """Decide and plan once in vain: the first time takes longer, because compiled functions are loaded."""
-        assert self._replanner is not None, "it is there"
-        commitment, moving = self._replanner.begin(state), state.copy()
-        moving[self._model.v] = 0.5 * self._model.vehicle.top_speed
-        self._replanner.decide(Estimate(0.0, moving, 0.0), commitment)
-        self._replanner = self._new_replanner()
-
-    def _new_replanner(self) -> Replanner:
-        spec = self._spec
-        method = spec.method
-        return Replanner(
-            self._solvers, method.planner, make_controller(method.controller, self._model), spec.seed,
-            period=spec.period, delay=self._estimator.horizon, realtime=True, keep_trees=self._keep_trees,
-            command_timeout=spec.robot.command.timeout,
-        )  # fmt: skip
-
-    def decide(self, request: PlanRequest) -> tuple[Planned, Any]:
-        """Answer a request, without the tree; and the tree."""
-        assert self._replanner is not None, "it has begun"
-        estimator, sense = self._estimator, request.sense
-        observations = deque(sense.observations)
-        for time, command, _ in sense.ticks:
-            while observations and observations[0].arrival <= time:
-                estimator.observe(observations.popleft())
-            estimator.commanded(time, command)
-        for observation in observations:
-            estimator.observe(observation)
-        self._replanner.skip_to(request.number)
-        estimate = estimator.replanning_estimate(request.time)
-        self._replanner.set_delay(estimator.horizon)
-        cycle = self._replanner.decide(estimate, request.current)
-        if cycle.held is not None:
-            estimator.leave_out(*cycle.held)
-        self._state = estimate.state
-        learned = estimator.learned if isinstance(estimator, AdaptiveEstimator) else None
-        return Planned(replace(cycle, tree=None), learned), cycle.tree
-
-    def prepare(self) -> None:
-        """Plan for the next cycle."""
-        assert self._replanner is not None, "it has begun"
-        self._replanner.prepare()
-
-    def change(self, change: TaskChange) -> TaskTaken:
-        """Decide and plan for a new goal or map from now on.
-
-        What was planned for the next cycle stays; it is checked against the new map before it is committed.  A new goal
-        that cannot be reached is not taken: the last one stays.
-        """
-        assert self._replanner is not None, "it has begun"
-        task, goal = changed(self._task, change.goal, change.map), change.goal
-        if problem := self._goal_problem(task):
-            if goal is not None:
-                x, y = self._task.goal.center
-                problem, goal = f"{problem}: the last one, ({x:g}, {y:g}), stays", None
-            task = changed(self._task, None, change.map)
-        self._task = task
-        blocked = self._replanner.blocked if change.map is None else ()  # a new map has it, or it is gone
-        self._solvers = Solvers.of(self._task, self._spec.vehicle, self._spec.method.planner, blocked)
-        self._solvers.load(self._state)
-        self._replanner.set_solvers(self._solvers, blocked)
-        return TaskTaken(goal, problem)
-
-    def _goal_problem(self, task: Task) -> str:
-        """Why the vehicle cannot get to the goal of a task; empty if nothing is known against it."""
-        vehicle, (x, y) = self._spec.vehicle, task.goal.center
-        if hit := goal_hit(task, vehicle):
-            return f"the goal ({x:g}, {y:g}) {hit}"
-        here, there, _ = pose_of(self._state, vehicle)
-        moved = replace(task, start=replace(task.start, x=here, y=there))
-        if math.isinf(geodesic_time(moved, vehicle)):
-            return f"the goal ({x:g}, {y:g}) is unreachable: no path to it is wide enough for the vehicle"
-        return ""
-
-
-def changed(task: Task, goal: tuple[float, float] | None, grid: OccupancyMap | None) -> Task:
-    """Task with a new goal, and with a new map instead of the last one of the same name."""
-    if goal is not None:
-        task = replace(task, goal=moved_goal(task.goal, goal))
-    return with_map(task, grid)
 
 
 @contextlib.contextmanager

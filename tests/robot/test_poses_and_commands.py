@@ -19,13 +19,14 @@ from kraft.driving.references import manoeuvre_reference
 from kraft.errors import Code, InputError
 from kraft.robot.command import CommandCodec, limited, unit_problem, unit_warnings
 from kraft.robot.control import Control
-from kraft.robot.drive import Planner, changed, check_method, on_the_clock
+from kraft.robot.drive import check_method, on_the_clock
 from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
 from kraft.robot.journal import Journal
 from kraft.robot.loopback import LoopbackBus
 from kraft.robot.maps import occupancy_map
 from kraft.robot.messages import BOOL, GRID, make, pose_fields
+from kraft.robot.planner import Planner, changed
 from kraft.robot.poses import Clocks, PoseGuard, Received, units_hint
 from kraft.robot.protocol import Begin, DriveSpec, Guarded, Mailbox, PlanRequest, Sense, TaskChange
 from kraft.robot.robot_file import Robot
