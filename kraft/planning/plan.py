@@ -172,8 +172,8 @@ def _started_solver(
     return dirt, settings, slack
 
 
-def finds_plan(task: Task, vehicle: Vehicle, iterations: int, seed: int = 0) -> bool:
-    """Whether DIRT with these iterations and this seed finds a plan to the goal; ends with the first one.
+def finds_plan(task: Task, vehicle: Vehicle, iterations: int) -> bool:
+    """Whether DIRT with these iterations and the seed 0 finds a plan to the goal; ends with the first one.
 
     `plan_task` may find one where this does not: it also optimises plans, and covers the footprint by smaller discs
     where the start asks for that.
@@ -181,8 +181,7 @@ def finds_plan(task: Task, vehicle: Vehicle, iterations: int, seed: int = 0) -> 
     Args:
         task: scene, start and goal, both free.
         vehicle: as for `plan_task`.
-        iterations: budget of the search; repeatable, as the seed decides everything else.
-        seed: seed of the search.
+        iterations: budget of the search; the result is repeatable.
 
     Raises:
         Defect: if the plan fails verification.
@@ -190,12 +189,12 @@ def finds_plan(task: Task, vehicle: Vehicle, iterations: int, seed: int = 0) -> 
     state = start_state(task, vehicle)
     settings = replace(settings_of(task, vehicle), polish=False)  # the first plan counts, however long it is
     dirt = DirtSolver(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings)
-    if _infeasible_start(dirt, state, dirt.start(state, seed)):
+    if _infeasible_start(dirt, state, dirt.start(state, seed=0)):
         return False
     dirt.grow(iterations=iterations, stop=lambda: bool(dirt.progress.history))
     found = SearchResult(dirt.plan(), dirt.progress)
     verification = verify(dirt, found.plan) if found.plan is not None else None
-    accepted, _ = _accepted(found, verification, seed)
+    accepted, _ = _accepted(found, verification, seed=0)
     return accepted is not None and accepted.reaches_goal
 
 

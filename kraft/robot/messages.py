@@ -208,9 +208,9 @@ def stamped_pose(time: int, frame: str, pose: Sequence[float]) -> Any:
     return make(POSE, header=header(time, frame), pose=pose_fields(*pose))
 
 
-def odometry(time: int, frame: str, child: str, pose: Sequence[float], speed: float, turning: float = 0.0) -> Any:
-    """An Odometry of (x, y, theta), speed (m/s) and turning rate (rad/s)."""
-    twist = {"twist": {"linear": {"x": speed}, "angular": {"z": turning}}}
+def odometry(time: int, frame: str, child: str, pose: Sequence[float], speed: float) -> Any:
+    """An Odometry of (x, y, theta) and speed (m/s)."""
+    twist = {"twist": {"linear": {"x": speed}}}
     return make(
         ODOMETRY, header=header(time, frame), child_frame_id=child, pose={"pose": pose_fields(*pose)}, twist=twist
     )
