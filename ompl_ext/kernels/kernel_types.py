@@ -66,19 +66,10 @@ BRAKE_STEP = 9  # integration step of a manoeuvre (s)
 REACH, LENGTH = 10, 12  # of the footprint (m)
 GRID_X, GRID_Y, GRID_INVERSE = 13, 14, 15  # lower left corner and 1 / cell of field and togo
 X_LOW, X_HIGH, Y_LOW, Y_HIGH = 16, 17, 18, 19  # workspace bounds (m)
-GOAL_BIAS, CONTROL_BOUND_BIAS = (
-    20,
-    21,
-)  # share of samples at the goal; share of controls beyond each bound, moved onto it
+GOAL_BIAS, CONTROL_BOUND_BIAS = 20, 21  # share of samples at the goal; of controls beyond each bound, moved onto it
 EXPLORATION = 28  # share of the visits to a sampled node that add any free candidate instead of the best
-GOAL_X, GOAL_Y, GOAL_RADIUS, GOAL_COS, GOAL_SIN, GOAL_TOLERANCE = (
-    22,
-    23,
-    24,
-    25,
-    26,
-    27,
-)  # tolerance as its cosine
+GOAL_X, GOAL_Y, GOAL_RADIUS = 22, 23, 24  # (m)
+GOAL_COS, GOAL_SIN, GOAL_TOLERANCE = 25, 26, 27  # of the heading; the tolerance as its cosine
 DELTA_PER_TIME, DELTA_HORIZON = 29, 30  # clearance added per second since the start of the query, for so long (m/s, s)
 FINE_X, FINE_Y, FINE_COS, FINE_SIN = 31, 32, 33, 34  # frame of the fine field (m)
 FINE_INVERSE = 35  # 1 / spacing of the fine field (1/m), 0 without one
@@ -163,13 +154,12 @@ class Tree(NamedTuple):
     random: Words  # generator state
 
 
-# Columns of Tree.value; the first Q_DIM are the configuration in the tree's metric
-F, RADIUS, COST, TOGO = (
-    4,
-    5,
-    6,
-    7,
-)  # f = cost-to-come + cost-to-go (s), radius of the dominance-informed region, 0 of closed nodes (m)
+# Columns of Tree.value; the first Q_DIM are the configuration in the tree's metric.  F is the sum of cost-to-come and
+# cost-to-go (s), RADIUS that of the dominance-informed region, 0 of closed nodes (m)
+F, RADIUS, COST, TOGO = range(4, 8)
+
+# Indices of Tree.frame
+CELLS_X, CELLS_Y, CELL_SIZE = range(3)
 
 # Columns of Tree.link
 PARENT, AT_GOAL, REGION_LEVEL, REGION_NEXT, REGION_PREVIOUS, CELL_NEXT, VISITS = range(7)

@@ -29,6 +29,9 @@ CELL = 0.018  # side of a cell as a share of the footprint's width
 REQUIRED, COMFORT = 0.02, 0.1  # clearance required and wanted of the poses, as shares of the footprint's width
 NARROW = 2.0  # factor of the time of motions to poses with less clearance than wanted
 LONG_STRIDE = 2.4  # cells of a motion
+# Indices of `frame`: position of cell (0, 0) (m), 1 / cell, number of headings, the first of them (rad); clearance
+# required and wanted (m)
+NEAR_X, NEAR_Y, NEAR_INVERSE, NEAR_BINS, NEAR_HEADING, NEAR_REQUIRED, NEAR_WANTED = range(7)
 LEVELS = ((1.0, 1.0), (0.7, 1.0), (0.5, 1.0), (0.35, 0.5))  # factors of CELL and REQUIRED that are tried in turn
 
 
@@ -55,7 +58,7 @@ class _Sparse(NamedTuple):
     link: IntMatrix32  # next and previous cell of the same bucket
     after: IntMatrix32  # the cell that follows towards the goal, and the motion to it
     buckets: Ints32
-    frame: Floats  # position of cell (0, 0), 1 / cell, bins, first heading, clearance required and wanted (m)
+    frame: Floats  # see NEAR_X
     result: Floats  # cells that were reached, cells that are open, seconds up to which the search is complete
 
 
@@ -158,10 +161,10 @@ def pose_before(x: float, y: float, theta: float, motion: Floats) -> tuple[float
 @inlined
 def _key(x: float, y: float, theta: float, frame: Floats) -> int:
     """Number of a pose's cell in an unbounded grid."""
-    column = int64(math.floor((x - frame[0]) * frame[2] + 0.5)) + OFFSET
-    row = int64(math.floor((y - frame[1]) * frame[2] + 0.5)) + OFFSET
-    bins = int64(frame[3])
-    k = int64(math.floor((theta - frame[4]) * (bins / (2.0 * math.pi)) + 0.5)) % bins
+    column = int64(math.floor((x - frame[NEAR_X]) * frame[NEAR_INVERSE] + 0.5)) + OFFSET
+    row = int64(math.floor((y - frame[NEAR_Y]) * frame[NEAR_INVERSE] + 0.5)) + OFFSET
+    bins = int64(frame[NEAR_BINS])
+    k = int64(math.floor((theta - frame[NEAR_HEADING]) * (bins / (2.0 * math.pi)) + 0.5)) % bins
     return (k * (2 * OFFSET) + row) * (2 * OFFSET) + column
 
 
@@ -179,7 +182,7 @@ def _slot(keys: Ints, key: int) -> int:
 def _open_goal(table: _Sparse, region: Floats, maps: Maps, most: int) -> int:
     """Open the free poses on the grid within the goal region, `most` of them at most; their number."""
     count, frame = 0, table.frame
-    bins, side = int64(frame[3]), 1.0 / frame[2]
+    bins, side = int64(frame[NEAR_BINS]), 1.0 / frame[NEAR_INVERSE]
     around = int64(math.ceil(region[3] / side))
     for k in range(bins):
         theta = region[2] + 2.0 * math.pi * k / bins
@@ -190,7 +193,7 @@ def _open_goal(table: _Sparse, region: Floats, maps: Maps, most: int) -> int:
                 if k + abs(i) + abs(j) > 0 and math.hypot(i * side, j * side) > region[3]:
                     continue
                 x, y = region[0] + i * side, region[1] + j * side
-                if slack_at(maps, x, y, theta, frame[5]) < 0.0:
+                if slack_at(maps, x, y, theta, frame[NEAR_REQUIRED]) < 0.0:
                     continue
                 key = _key(x, y, theta, frame)
                 slot = _slot(table.key, key)
@@ -219,8 +222,8 @@ def _expand(table: _Sparse, cell: int, shortest: float, motions: Matrix, reversa
         known = table.key[slot] == key
         if known and (table.seconds[slot] <= cost + 1e-6 or table.link[slot, 1] == -1):
             continue
-        if slack_at(maps, px, py, pt, table.frame[6]) < 0.0:
-            if slack_at(maps, px, py, pt, table.frame[5]) < 0.0:
+        if slack_at(maps, px, py, pt, table.frame[NEAR_WANTED]) < 0.0:
+            if slack_at(maps, px, py, pt, table.frame[NEAR_REQUIRED]) < 0.0:
                 continue
             cost += (NARROW - 1.0) * motions[m, 3]
             if known and table.seconds[slot] <= cost + 1e-6:

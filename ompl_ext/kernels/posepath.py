@@ -18,6 +18,10 @@ LENGTHS = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0])  # of a motion wit
 PARTS = (0.25, 0.5, 0.75, 1.0)  # of these motions where poses have to be free
 ASIDE = 10.0  # factor of errors to the side and of the heading where a path begins
 FIRST_NEAR = -2  # less k where a cell is followed by near pose k
+# Indices of `frame`: position of cell (0, 0) (m), 1 / cell, shape of the grid, heading of the first layer (rad);
+# clearance that may be lacking, clearance required and wanted (m); seconds up to which the fine search is complete
+FRAME_X, FRAME_Y, FRAME_INVERSE, FRAME_ROWS, FRAME_COLUMNS, FRAME_BINS, FRAME_HEADING = range(7)
+FRAME_ALLOWED, FRAME_REQUIRED, FRAME_WANTED, FRAME_FINE = range(7, 11)
 
 
 class PoseCostToGo(NamedTuple):
@@ -32,7 +36,7 @@ class PoseCostToGo(NamedTuple):
     pose: Matrix32  # the exact pose of each cell
     after: IntMatrix32  # the cell that follows each one towards the goal, and the motion to it; or FIRST_NEAR - k
     motions: Matrix
-    frame: Floats
+    frame: Floats  # see FRAME_X
     near: NearPoses | None  # None if the whole grid is coarse
     reach: float  # of the footprint (m)
     top_speed: float  # of the motions (m/s)
@@ -87,9 +91,9 @@ class PoseCostToGo(NamedTuple):
 
         Deviations add to the time; it is `UNKNOWN` where no pose was reached.
         """
-        rows, columns, bins = (int(number) for number in self.frame[3:6])
+        rows, columns, bins = (int(self.frame[k]) for k in (FRAME_ROWS, FRAME_COLUMNS, FRAME_BINS))
         column, row = (np.floor((poses[:, k] - self.origin[k]) / self.cell + 0.5).astype(np.int64) for k in range(2))
-        k = np.floor((poses[:, 2] - self.frame[6]) * (bins / math.tau) + 0.5).astype(np.int64) % bins
+        k = np.floor((poses[:, 2] - self.frame[FRAME_HEADING]) * (bins / math.tau) + 0.5).astype(np.int64) % bins
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         cells = np.where(inside, (k * rows + row) * columns + column, 0)
         met = self.pose[cells]
@@ -157,19 +161,19 @@ class PosePath(NamedTuple):
 @inlined
 def cell_of(x: float, y: float, theta: float, frame: Floats) -> int:
     """Index of a pose's cell, -1 outside the grid."""
-    rows, columns, headings = int(frame[3]), int(frame[4]), int(frame[5])
-    column = math.floor((x - frame[0]) * frame[2] + 0.5)
-    row = math.floor((y - frame[1]) * frame[2] + 0.5)
+    rows, columns, headings = int(frame[FRAME_ROWS]), int(frame[FRAME_COLUMNS]), int(frame[FRAME_BINS])
+    column = math.floor((x - frame[FRAME_X]) * frame[FRAME_INVERSE] + 0.5)
+    row = math.floor((y - frame[FRAME_Y]) * frame[FRAME_INVERSE] + 0.5)
     if not (0 <= column < columns and 0 <= row < rows):
         return -1
-    k = math.floor((theta - frame[6]) * (headings / (2.0 * math.pi)) + 0.5) % headings
+    k = math.floor((theta - frame[FRAME_HEADING]) * (headings / (2.0 * math.pi)) + 0.5) % headings
     return (k * rows + row) * columns + column
 
 
 @compiled
 def _nearest_reached(x: float, y: float, theta: float, seconds: Floats32, frame: Floats, pose: Matrix32) -> int:
     """Reached cell with a pose near (x, y, theta), the one with the least cost-to-go and deviation; -1 without one."""
-    rows, columns, bins = int(frame[3]), int(frame[4]), int(frame[5])
+    rows, columns, bins = int(frame[FRAME_ROWS]), int(frame[FRAME_COLUMNS]), int(frame[FRAME_BINS])
     middle, best, chosen = cell_of(x, y, theta, frame), math.inf, -1
     if middle < 0:
         return -1
@@ -179,7 +183,7 @@ def _nearest_reached(x: float, y: float, theta: float, seconds: Floats32, frame:
             for c in range(max(column - NEARBY, 0), min(column + NEARBY + 1, columns)):
                 cell = (((k + t) % bins) * rows + r) * columns + c
                 if seconds[cell] < UNKNOWN:
-                    away = math.hypot(pose[cell, 0] - x, pose[cell, 1] - y) * frame[2]
+                    away = math.hypot(pose[cell, 0] - x, pose[cell, 1] - y) * frame[FRAME_INVERSE]
                     turned = (pose[cell, 2] - theta) * bins / (2.0 * math.pi)
                     away += abs(turned - bins * math.floor(turned / bins + 0.5))
                     cost = seconds[cell] * (1.0 + DEVIATION_PENALTY * away)

@@ -54,7 +54,17 @@ from ompl_ext.kernels.nearpose import (  # fmt: skip
     unlink_cell,
 )
 from ompl_ext.kernels.penetration import fill_penetration
-from ompl_ext.kernels.posepath import FIRST_NEAR, PoseCostToGo, cell_of
+from ompl_ext.kernels.posepath import (  # fmt: skip
+    FIRST_NEAR,
+    FRAME_ALLOWED,
+    FRAME_BINS,
+    FRAME_FINE,
+    FRAME_INVERSE,
+    FRAME_REQUIRED,
+    FRAME_WANTED,
+    PoseCostToGo,
+    cell_of,
+)
 from ompl_ext.trigonometry import cos
 
 MAX_CELLS = 1_000_000
@@ -108,8 +118,8 @@ def pose_cost_to_go(
     origin = (goal[0] - before[0] * cell, goal[1] - before[1] * cell)
     count = headings * rows * columns
     allowance = ALLOWED * (cell + 2.0 * math.pi / headings * maps.scalar[REACH])
-    frame = np.array([*origin, 1.0 / cell, rows, columns, headings, goal[2], allowance, 0.0, 0.0, 0.0])
-    frame[8:10] = REQUIRED * footprint_width, COMFORT * footprint_width
+    required, wanted = REQUIRED * footprint_width, COMFORT * footprint_width
+    frame = np.array([*origin, 1.0 / cell, rows, columns, headings, goal[2], allowance, required, wanted, 0.0])
     region = np.array([*goal, goal_radius, goal_tolerance])
     close = region * (1.0, 1.0, 1.0, INSIDE, INSIDE)
     attempts: list[tuple[NearPoses | None, float]] = [(None, EASE), (None, 1.0)]
@@ -189,7 +199,7 @@ def _searched(
         opened = _open_goal(table, region, maps)
     else:
         opened = _open_near(table, width, near.seconds, near.pose)
-        table.frame[10] = near.complete
+        table.frame[FRAME_FINE] = near.complete
     _search(table, opened, width, motions, reversal, maps)
     return table
 
@@ -233,7 +243,7 @@ class _Table(NamedTuple):
     link: IntMatrix32  # next and previous cell of the same bucket
     after: IntMatrix32  # the cell that follows towards the goal, and the motion to it; FIRST_NEAR - k at near pose k
     buckets: Ints32
-    frame: Floats  # of the grid (7 numbers), allowance, clearance required and wanted (m), s of the fine search
+    frame: Floats  # see FRAME_X
 
 
 @part
@@ -247,7 +257,7 @@ def _open(table: _Table, cell: int, bucket: int, x: float, y: float, theta: floa
 def _open_goal(table: _Table, region: Floats, maps: Maps) -> int:
     """Open the cells whose centres are free and in the goal region, and that of its centre; their number."""
     count, frame = 0, table.frame
-    bins, side = int(frame[5]), 1.0 / frame[2]
+    bins, side = int(frame[FRAME_BINS]), 1.0 / frame[FRAME_INVERSE]
     around = math.ceil(region[3] / side)
     for k in range(bins):
         theta = region[2] + 2.0 * math.pi * k / bins
@@ -259,7 +269,11 @@ def _open_goal(table: _Table, region: Floats, maps: Maps) -> int:
                 if k + abs(i) + abs(j) > 0 and math.hypot(i * side, j * side) > region[3]:
                     continue
                 cell = cell_of(x, y, theta, frame)
-                if cell >= 0 and table.seconds[cell] > 0.0 and slack_at(maps, x, y, theta, -frame[7]) >= 0.0:
+                if (
+                    cell >= 0
+                    and table.seconds[cell] > 0.0
+                    and slack_at(maps, x, y, theta, -frame[FRAME_ALLOWED]) >= 0.0
+                ):
                     table.seconds[cell] = 0.0
                     _open(table, cell, 0, x, y, theta, 0.0)
                     count += 1
@@ -295,10 +309,10 @@ def _expand(table: _Table, cell: int, width: float, motions: Matrix, reversal: f
         other = cell_of(px, py, pt, frame)
         if other < 0 or table.seconds[other] <= cost + 1e-6:
             continue
-        if slack_at(maps, px, py, pt, frame[9]) < 0.0:
-            if slack_at(maps, px, py, pt, frame[8]) >= 0.0:
+        if slack_at(maps, px, py, pt, frame[FRAME_WANTED]) < 0.0:
+            if slack_at(maps, px, py, pt, frame[FRAME_REQUIRED]) >= 0.0:
                 cost += (NARROW - 1.0) * time
-            elif cost >= frame[10] and slack_at(maps, px, py, pt, -frame[7]) >= 0.0:
+            elif cost >= frame[FRAME_FINE] and slack_at(maps, px, py, pt, -frame[FRAME_ALLOWED]) >= 0.0:
                 cost += (LACKING - 1.0) * time
             else:
                 continue

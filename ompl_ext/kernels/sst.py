@@ -24,6 +24,9 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     BLOCK_ROWS,
     BLOSSOM,
     CELL_NEXT,
+    CELL_SIZE,
+    CELLS_X,
+    CELLS_Y,
     COST,
     EDGES,
     HEAD,
@@ -51,12 +54,12 @@ from ompl_ext.kernels.tree import BLOCK, clamp, distance_squared, list_position,
 @part
 def cheapest_within(tree: Tree, q: Floats, radius: float) -> int:
     """Active node with the lowest cost within `radius` m of `q` (Best_First_Selection_SST); -1 if there is none."""
-    size = BLOCK * tree.frame[2]
+    size = BLOCK * tree.frame[CELL_SIZE]
     columns, rows = tree.block_shape[BLOCK_COLUMNS], tree.block_shape[BLOCK_ROWS]
-    first_row = clamp(int((q[1] - radius - tree.frame[1]) / size), rows)
-    last_row = clamp(int((q[1] + radius - tree.frame[1]) / size), rows)
-    first_column = clamp(int((q[0] - radius - tree.frame[0]) / size), columns)
-    last_column = clamp(int((q[0] + radius - tree.frame[0]) / size), columns)
+    first_row = clamp(int((q[1] - radius - tree.frame[CELLS_Y]) / size), rows)
+    last_row = clamp(int((q[1] + radius - tree.frame[CELLS_Y]) / size), rows)
+    first_column = clamp(int((q[0] - radius - tree.frame[CELLS_X]) / size), columns)
+    last_column = clamp(int((q[0] + radius - tree.frame[CELLS_X]) / size), columns)
     chosen, lowest = int64(-1), math.inf
     for row in range(first_row, last_row + 1):
         for column in range(first_column, last_column + 1):

@@ -36,6 +36,9 @@ from ompl_ext.kernels.kernel_types import (  # fmt: skip
     BLOCK_STRIDE,
     BOUND,
     CELL_NEXT,
+    CELL_SIZE,
+    CELLS_X,
+    CELLS_Y,
     HEAD,
     LEVEL_COLUMN_MASK,
     LEVEL_COLUMNS,
@@ -99,8 +102,8 @@ def region_cell(tree: Tree, level: int, node: int) -> int:
         tree.level[level, LEVEL_COLUMNS],
         tree.level[level, LEVEL_ROWS],
     )
-    column = clamp(int((tree.value[node, 0] - tree.frame[0]) / size), columns)
-    row = clamp(int((tree.value[node, 1] - tree.frame[1]) / size), rows)
+    column = clamp(int((tree.value[node, 0] - tree.frame[CELLS_X]) / size), columns)
+    row = clamp(int((tree.value[node, 1] - tree.frame[CELLS_Y]) / size), rows)
     return stored_cell(tree, level, row, column)
 
 
@@ -154,8 +157,8 @@ def level_window(tree: Tree, level: int, q: Floats) -> tuple[int, int, int, int]
         tree.level[level, LEVEL_COLUMNS],
         tree.level[level, LEVEL_ROWS],
     )
-    column = clamp(int((q[0] - tree.frame[0]) / size), columns)
-    row = clamp(int((q[1] - tree.frame[1]) / size), rows)
+    column = clamp(int((q[0] - tree.frame[CELLS_X]) / size), columns)
+    row = clamp(int((q[1] - tree.frame[CELLS_Y]) / size), rows)
     return max(row - 1, 0), min(row + 2, rows), max(column - 1, 0), min(column + 2, columns)
 
 
@@ -267,7 +270,7 @@ def nearest_better_around(
     tree: Tree, q: Floats, f: float, center_row: int, center_column: int, best2: float, closed: float
 ) -> tuple[int, float]:
     """Nearest better node in the 3 x 3 cells around a point, and its squared distance; the center cell first."""
-    size, node, cell = tree.frame[2], int64(-1), position_cell(tree, center_row, center_column)
+    size, node, cell = tree.frame[CELL_SIZE], int64(-1), position_cell(tree, center_row, center_column)
     rows, columns = tree.block_shape[BLOCK_ROWS] * BLOCK, tree.block_shape[BLOCK_COLUMNS] * BLOCK
     below = MOST_TICKS - ticks(f)
     if tree.cells[cell, BOUND] > below:
@@ -276,7 +279,7 @@ def nearest_better_around(
         for column in range(max(center_column - 1, 0), min(center_column + 2, columns)):
             cell = position_cell(tree, row, column)
             if tree.cells[cell, BOUND] > below and not (row == center_row and column == center_column):
-                x, y = tree.frame[0] + column * size, tree.frame[1] + row * size
+                x, y = tree.frame[CELLS_X] + column * size, tree.frame[CELLS_Y] + row * size
                 if gap_squared(q[0], q[1], x, y, size) < best2:
                     node, best2 = nearest_better_in_cell(tree, cell, q, f, node, best2, closed)
     return node, best2
@@ -287,8 +290,8 @@ def nearest_better_in_block(
     tree: Tree, row: int, column: int, q: Floats, f: float, node: int, best2: float, closed: float
 ) -> tuple[int, float]:
     """Update (node, squared distance) with the nodes of a block of cells."""
-    cell_size, first = tree.frame[2], stored_block(tree, row, column) * BLOCK * BLOCK
-    left, bottom = tree.frame[0] + column * BLOCK * cell_size, tree.frame[1] + row * BLOCK * cell_size
+    cell_size, first = tree.frame[CELL_SIZE], stored_block(tree, row, column) * BLOCK * BLOCK
+    left, bottom = tree.frame[CELLS_X] + column * BLOCK * cell_size, tree.frame[CELLS_Y] + row * BLOCK * cell_size
     below = MOST_TICKS - ticks(f)
     for k in range(BLOCK * BLOCK):
         if tree.cells[first + k, BOUND] > below:
@@ -302,8 +305,8 @@ def nearest_better_in_block(
 def cell_of(tree: Tree, q: Floats) -> tuple[int, int]:
     """Row and column of the cell of positions that contains a configuration."""
     columns, rows = tree.block_shape[BLOCK_COLUMNS], tree.block_shape[BLOCK_ROWS]
-    column = clamp(int((q[0] - tree.frame[0]) / tree.frame[2]), columns * BLOCK)
-    row = clamp(int((q[1] - tree.frame[1]) / tree.frame[2]), rows * BLOCK)
+    column = clamp(int((q[0] - tree.frame[CELLS_X]) / tree.frame[CELL_SIZE]), columns * BLOCK)
+    row = clamp(int((q[1] - tree.frame[CELLS_Y]) / tree.frame[CELL_SIZE]), rows * BLOCK)
     return row, column
 
 
@@ -314,10 +317,11 @@ def nearest_better(tree: Tree, q: Floats, f: float, limit: float, closed: float)
     A distance below `closed` need not be the smallest: any such distance closes the node.
     """
     columns, rows = tree.block_shape[BLOCK_COLUMNS], tree.block_shape[BLOCK_ROWS]
-    size = BLOCK * tree.frame[2]
+    size = BLOCK * tree.frame[CELL_SIZE]
     center_row, center_column = cell_of(tree, q)
     node, best2 = nearest_better_around(tree, q, f, center_row, center_column, limit * limit, closed)
-    if best2 < tree.frame[2] * tree.frame[2]:  # all that is nearer is in those cells; in a large tree nearly always
+    # all that is nearer is in those cells; in a large tree nearly always
+    if best2 < tree.frame[CELL_SIZE] * tree.frame[CELL_SIZE]:
         return node, math.sqrt(best2)
     center_row, center_column, below = center_row // BLOCK, center_column // BLOCK, MOST_TICKS - ticks(f)
     for ring in range(max(columns, rows)):
@@ -329,7 +333,7 @@ def nearest_better(tree: Tree, q: Floats, f: float, limit: float, closed: float)
             for column in range(center_column - ring, center_column + ring + 1, step):
                 if column < 0 or column >= columns:
                     continue
-                left, bottom = tree.frame[0] + column * size, tree.frame[1] + row * size
+                left, bottom = tree.frame[CELLS_X] + column * size, tree.frame[CELLS_Y] + row * size
                 is_better = tree.block_bound[row * columns + column] > below
                 if is_better and gap_squared(q[0], q[1], left, bottom, size) < best2:
                     node, best2 = nearest_better_in_block(tree, row, column, q, f, node, best2, closed)
