@@ -17,7 +17,7 @@ from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, Experiment, Meth
 from kraft.evaluation.folder import NEW, Folder, check_exists, check_resumable, create, reopen, write_results
 from kraft.evaluation.job import Executor
 from kraft.evaluation.journal import Key, TrialRow
-from kraft.evaluation.processes import Processes
+from kraft.evaluation.processes import Processes, check_script
 from kraft.evaluation.report import CommandLine
 from kraft.evaluation.suite import ScenarioLike, Settings, Sweeps, entries_of
 from kraft.evaluation.summary import Summary, summarise
@@ -104,7 +104,8 @@ def evaluate(
 
     Raises:
         InputError: with every problem of the arguments; if the folder cannot be written, or if the resumed folder
-            belongs to another evaluation.  Finished trials stay in the folder.
+            belongs to another evaluation.  Finished trials stay in the folder.  If the program is read from stdin:
+            worker processes cannot import it.
         TypeError: if scenarios, methods, settings, values to vary, suite or vehicle are of another type.
         Unreachable: with every unreachable goal, before the folder is made.
         MissingError: if a part of the installation is missing.
@@ -117,6 +118,8 @@ def evaluate(
     )  # fmt: skip
     if resume and out is not None:
         check_resumable(Path(out), experiment, recorded)
+    if cluster is None:
+        check_script()
     executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
     warnings = tuple(_warnings(experiment))
     for text in warnings:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -16,7 +17,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Final, TypeAlias
 
-from kraft.errors import Defect, KraftError
+from kraft.errors import Defect, InputError, KraftError
 from kraft.evaluation.job import POLL, Job, StopRequested, failed_row, perform
 from kraft.evaluation.journal import Key, TrialRow
 from kraft.text import MessageSink
@@ -26,6 +27,7 @@ from ompl_ext.signals import STOPPING
 DEATHS: Final = 2  # workers that die in a trial, after which it has failed
 FAILED_STARTS: Final = 3  # workers in a row that die before they are ready
 RAISED: Final = "exit code 1"  # of a process that ends with an exception, such as one on its import of the script
+GUARD: Final = 'with if __name__ == "__main__": around the call of evaluate'
 UNGUARDED: Final = (
     "; what they raised is above. Worker processes import the script that calls evaluate: it needs "
     'if __name__ == "__main__": around the call'
@@ -66,6 +68,19 @@ class _State:
     workers: list[_Worker] = field(default_factory=list)
     deaths: Counter[Key] = field(default_factory=Counter)
     failed_starts: int = 0
+
+
+def check_script() -> None:
+    """Check that worker processes can import the program of this process, as they do when they start.
+
+    Raises:
+        InputError: if it is from stdin or a pipe; a prompt, a notebook and ``python -c`` have none to import.
+    """
+    program = sys.modules["__main__"]
+    file = getattr(program, "__file__", None)
+    if getattr(program, "__spec__", None) is None and file is not None and not os.path.isfile(file):
+        problem = "the program is not in a file, and worker processes, also a single one, have to import it"
+        raise InputError.of(file, problem, f"save it in a file, {GUARD}, and run that")
 
 
 class Processes:

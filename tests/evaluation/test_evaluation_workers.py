@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -129,6 +130,23 @@ def test_workers_that_raise_before_they_are_ready_name_the_guard_that_a_script_n
     monkeypatch.setattr(processes, "serve", dead_worker.raises)
     with pytest.raises(Defect, match=r'exit code 1.*if __name__ == "__main__":'):
         evaluate(["turns"], ["kraft"], 1)
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_program_from_stdin_is_refused_before_its_folder_is_made(tmp_path: Path, jobs: str) -> None:
+    program = f"import kraft; kraft.evaluate(['turns'], ['kraft'], 1, jobs={jobs}, out='out')"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-"], input=program, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.stderr.splitlines()[-1].startswith("kraft.errors.InputError: <stdin>: the program is not in a file")
+    assert "save it in a file" in done.stderr
+    assert list(tmp_path.iterdir()) == [tmp_path / "left"]
+
+
+def test_a_prompt_and_a_notebook_have_no_program_to_import(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "__main__", ModuleType("__main__"))
+    processes.check_script()
 
 
 def test_workers_that_do_not_start_are_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
