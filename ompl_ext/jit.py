@@ -1,19 +1,10 @@
-"""Compilation with numba: strict IEEE arithmetic and a cache that cannot become stale.
+"""Compilation with numba: strict IEEE arithmetic, and machine code that is kept on disk (`kernel_cache`).
 
 *Arithmetic.*  No `fastmath`: without reassociation or contraction every lane of a vectorised loop computes exactly
 what the scalar loop would, so results do not depend on the machine's vector width.  `error_model="numpy"` only
 removes the zero-division branch that would keep a loop from vectorising.
 
-*Vectors.*  LLVM prefers vectors of 256 bits on every Intel processor with AVX-512, because the first ones lowered their
-clock for 512 bits.  Those with AVX512-FP16 (Sapphire Rapids and later) do not, and search takes a sixth less time with
-them.
-
 *Memory.*  `_nrt=False` compiles without numba's memory runtime: a kernel can neither allocate nor count references.
-
-*Cache.*  numba's key of a cached kernel is its own source file; a change of an inlined function goes unnoticed.  Here
-the cache folder's name is a hash over the sources of the whole package (and, for a vehicle's kernels, over the
-vehicle's source): after any edit a new folder is used, and a stale kernel is impossible.  numba looks up a kernel by
-the path of its source file, so every copy of the package has folders of its own.
 
 *Garbage.*  While numba compiles, Python collects no cyclic garbage: the collections find little and take an eighth of
 the time.
@@ -22,40 +13,27 @@ the time.
 from __future__ import annotations
 
 import gc
-import hashlib
-import os
-import pickle
-import sys
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import cache, cached_property
+from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
 from numba import types
 from numba.core import cgutils, event
 from numba.core.caching import NullCache
-from numba.core.codegen import get_host_cpu_features
-from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
+from numba.core.typeinfer import register_dispatcher
 from numba.extending import intrinsic
 
-from ompl_ext.cache_error import CacheError
+from ompl_ext.kernel_cache import KernelCache, cache_folder
 
 _njit: Any = numba.njit  # numba's stubs lack `_nrt` and the configuration
-_config: Any = numba.config
 _codegen: Any = cgutils
 _intrinsic: Any = intrinsic
 _event: Any = event
-_compiler_lock: Any = global_compiler_lock
-_host_features: Any = get_host_cpu_features
+_typed_while: Any = register_dispatcher
 F = TypeVar("F", bound=Callable[..., object])
-
-WRITABLE: Final = "expected a writable folder with enough space in KRAFT_CACHE_DIR"
-DAMAGED: Final = (EOFError, pickle.UnpicklingError)
-"""Errors of cached files that are empty, cut off or full of zeros, as after a loss of power."""
 
 
 class _NoCollections(event.Listener):
@@ -81,168 +59,46 @@ class _NoCollections(event.Listener):
 _event.register("numba:compile", _NoCollections())
 
 
-def with_wide_vectors(features: str) -> str | None:
-    """Features of a processor in LLVM's notation with vectors of 512 bits; None if it is better off without them."""
-    return f"{features},-prefer-256-bit" if "+avx512fp16" in features.split(",") else None
-
-
-if _config.CPU_FEATURES is None and _config.CPU_NAME is None:  # otherwise the user has chosen (NUMBA_CPU_FEATURES)
-    _config.CPU_FEATURES = with_wide_vectors(_host_features())
-
-
-def cache_root() -> Path:
-    """Folder that holds all compiled kernels: `$KRAFT_CACHE_DIR`, else the user's cache folder.
-
-    If no home folder is writable (containers with a read-only home, services without one, `sudo` with the home of
-    another user), it is a folder of the user under the system's temporary directory, so that kernels are still compiled
-    only once per machine.
-    """
-    explicit = os.environ.get("KRAFT_CACHE_DIR")
-    if explicit:
-        return Path(explicit)
-    base = _user_cache()
-    if base is not None and _may_write(base):
-        return base / "kraft"
-    return _temporary_root()
-
-
-def _temporary_root() -> Path:
-    return Path(tempfile.gettempdir()) / f"kraft-{os.getuid()}"
-
-
-def _user_cache() -> Path | None:
-    """The user's cache folder; None for a user that the system does not know, without HOME."""
-    if given := os.environ.get("XDG_CACHE_HOME"):
-        return Path(given)
-    try:
-        return Path.home() / ".cache"
-    except RuntimeError:
-        return None
-
-
-def _may_write(folder: Path) -> bool:
-    """Whether a folder can be written, or made; not below a folder that this user must not enter."""
-    nearest = next(path for path in (folder, *folder.parents) if os.path.exists(path))  # False without permission
-    return os.access(nearest, os.W_OK | os.X_OK)
-
-
-@cache
-def source_hash() -> str:
-    """Hash over every source file of this package and the versions of numba and Python."""
-    digest = hashlib.sha256(f"{numba.__version__} {sys.version_info[:2]}".encode())
-    package = Path(__file__).parent
-    for path in sorted(package.rglob("*.py")):
-        digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-def cache_folder(vehicle_hash: str = "") -> Path:
-    """Cache folder of the package's kernels, or of a vehicle's kernels if its hash is passed."""
-    location = hashlib.sha256(str(Path(__file__).parent).encode()).hexdigest()[:8]
-    return cache_root() / "kernels" / f"{source_hash()}-{location}" / (vehicle_hash or "core")
-
-
-def check_cache(folder: Path) -> None:
-    """Make a cache folder and check that it is writable, and that nobody else has made the one for temporary files.
-
-    Raises:
-        CacheError: the folder is not writable, or another user could put code into it.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise _unwritable(folder, error) from None
-    check_owner()
-
-
-def check_owner() -> None:
-    """Check that the cache is this user's where every user may make files, among the temporary ones.
-
-    Raises:
-        CacheError: another user has made its folder, and could put code into it.
-    """
-    root = cache_root()
-    if root == _temporary_root() and os.path.lexists(root) and root.lstat().st_uid != os.getuid():
-        raise CacheError(root, "belongs to another user, whose code would be run", WRITABLE)
-
-
-def _unwritable(folder: Path, error: OSError) -> CacheError:
-    return CacheError(folder, f"cannot be written: {error.strerror or error}", WRITABLE)
-
-
-@contextmanager
-def _cache_errors(folder: Path) -> Iterator[None]:
-    """Name the cache in errors of numba that reads and writes it: these name neither a file nor what to do.
-
-    Raises:
-        CacheError: a file in `folder` is damaged or cannot be written.
-    """
-    try:
-        yield
-    except CacheError:  # of a function that is compiled as a part
-        raise
-    except DAMAGED as error:
-        advice = "delete this folder, and kraft compiles again"
-        raise CacheError(cache_folder().parent, f"has damaged files: {error}", advice) from error
-    except OSError as error:
-        raise _unwritable(folder, error) from error
-
-
 def compiled(function: F, *, folder: Path | None = None, signature: object = None, nogil: bool = True) -> F:
-    """Compile `function` with numba and cache the machine code in `folder`.
+    """Compile `function` with numba and keep the machine code in `folder`.
 
     With `nogil` it releases Python's global lock, so that several threads can run kernels at the same time.
 
     With a `signature` it is compiled, or loaded from the cache, at once; otherwise on its first call.
 
     Raises:
-        CacheError: `folder` is not writable, or a file in it is damaged.
+        CacheError: it has to be compiled and cannot be kept, or a file in `folder` is damaged.
     """
-    target = folder or cache_folder()
-    check_cache(target)
-    with _caching_in(target):
-        dispatcher: Any = _njit(signature, cache=True, error_model="numpy", nogil=nogil, _nrt=False)(function)
+    dispatcher: Any = _njit(error_model="numpy", nogil=nogil, _nrt=False)(function)
     dispatcher.__class__ = _Kernel
+    dispatcher.keep(folder or cache_folder(), signature)
     return cast(F, dispatcher)
 
 
-@contextmanager
-def _caching_in(folder: Path) -> Iterator[None]:
-    """Make numba cache in `folder` what is decorated meanwhile; other threads that compile wait.
-
-    Raises:
-        CacheError: a file in `folder` is damaged or cannot be written.
-    """
-    with _compiler_lock, _cache_errors(folder):
-        before = _config.CACHE_DIR
-        _config.CACHE_DIR = str(folder)  # read once, when njit attaches the cache
-        try:
-            yield
-        finally:
-            _config.CACHE_DIR = before
-
-
 class _Kernel(CPUDispatcher):
-    """Function for use from Python, whose machine code is kept on disk."""
+    """Function whose machine code is kept on disk."""
 
     _cache: Any  # numba's stubs lack it
 
-    def compile(self, sig: Any) -> Any:
-        """Compile for a signature, or load what is cached."""
-        with _cache_errors(Path(self._cache.cache_path)):
-            return super().compile(sig)
+    def keep(self, folder: Path, signature: Any = None) -> None:
+        """Keep the machine code in `folder`; with a signature compile for it alone, or load what is kept.
+
+        Raises:
+            CacheError: it has to be compiled and cannot be kept, or a file in `folder` is damaged.
+        """
+        self._cache = KernelCache.of(self.py_func, folder)
+        if signature is not None:
+            with _typed_while(self):
+                self.compile(signature)
+            self.disable_compile()
 
 
-class _Part(CPUDispatcher):
+class _Part(_Kernel):
     """Function for use in kernels, compiled without the wrappers that Python calls.
 
     For the tree's arrays the wrappers take longer to compile than the function.  When it is called from Python (tests,
     experiments), it is compiled once more, with them.
     """
-
-    _cache: Any  # numba's stubs lack it
 
     @cached_property
     def _from_python(self) -> Callable[..., object]:
@@ -255,10 +111,8 @@ class _Part(CPUDispatcher):
     def compile(self, sig: Any) -> Any:
         """Compile for a signature; what is the same for every vehicle is cached from here on, not at the import."""
         if self.is_shared and not self.is_cached:
-            with _caching_in(cache_folder()):
-                self.enable_caching()
-        with _cache_errors(cache_folder()):
-            return super().compile(sig)
+            self.keep(cache_folder())
+        return super().compile(sig)
 
     @property
     def is_shared(self) -> bool:
@@ -293,12 +147,12 @@ def callee(function: Any, folder: Path, signature: object) -> int:
     """Address of a function that kernels call with `caller`; compiled for the signature and cached in `folder`.
 
     Raises:
-        CacheError: `folder` is not writable.
+        CacheError: it has to be compiled and cannot be kept, or a file in `folder` is damaged.
     """
-    check_cache(folder)
     options = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    with _caching_in(folder):
-        dispatcher: Any = _njit(signature, cache=True, error_model="numpy", _nrt=False, **options)(function)
+    dispatcher: Any = _njit(error_model="numpy", _nrt=False, **options)(function)
+    dispatcher.__class__ = _Kernel
+    dispatcher.keep(folder, signature)
     _callees.append(dispatcher)  # its machine code lives as long as it does
     (overload,) = dispatcher.overloads.values()
     address: int = overload.library.get_pointer_to_function(overload.fndesc.llvm_func_name)

@@ -22,7 +22,7 @@ from kraft.text import MessageSink
 from ompl_ext.arrays import Matrix32
 from ompl_ext.exact import ExactClearance
 from ompl_ext.interrupts import interrupts_between_passes
-from ompl_ext.jit import cache_folder, cache_root
+from ompl_ext.kernel_cache import cache_folder, is_marked, mark, where_kept
 from ompl_ext.kernels.clearance import ClearanceField, cover, fields
 from ompl_ext.kernels.costtogo import cost_to_go
 from ompl_ext.kernels.half_planes import half_planes
@@ -104,7 +104,7 @@ def ensure_checks_compiled(task: Task, vehicle: Vehicle, report: MessageSink) ->
     What is cached is not compiled again; `report` gets progress messages.
     """
     parts: dict[str, Callable[[], object]] = {}
-    if not _marker(MAPS).exists():
+    if not is_marked(_marker(MAPS)):
         parts[MAPS_PART] = compile_maps
     if needs_motions(task) and not is_model_cached(vehicle):
         parts[f"the model of {vehicle.name}"] = partial(model_step, vehicle)
@@ -124,7 +124,7 @@ def _compile(parts: Mapping[str, Callable[[], object]], report: MessageSink) -> 
             compile_part()
         if number < len(parts):
             report(f"  {time.perf_counter() - began:.0f} s: compiled {part}")
-    report(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
+    report(f"compiled in {time.perf_counter() - began:.0f} s; kept in {where_kept()}")
 
 
 def _missing(needs: Needs, with_planner: bool) -> dict[str, Callable[[], object]]:
@@ -137,7 +137,7 @@ def _missing(needs: Needs, with_planner: bool) -> dict[str, Callable[[], object]
     if not is_cached(vehicle):
         planner = "the planner and " if with_planner else ""
         parts[f"{planner}the model of {vehicle.name}"] = partial(_exercise, vehicle)
-    elif not _marker(MAPS).exists():  # otherwise compiled with the planner
+    elif not is_marked(_marker(MAPS)):  # otherwise compiled with the planner
         parts[MAPS_PART] = compile_maps
     if needs.steps and not are_steps_cached(vehicle):
         parts[f"the steps of the model of {vehicle.name}"] = partial(step_kernels, vehicle)
@@ -148,7 +148,7 @@ def _missing(needs: Needs, with_planner: bool) -> dict[str, Callable[[], object]
     for name in needs.modules:
         if not is_module_cached(vehicle, name):
             parts[f"{OPTIONAL[name]} for {vehicle.name}"] = partial(optional_module, vehicle, name)
-    if needs.heading and not _marker(HEADING).exists():
+    if needs.heading and not is_marked(_marker(HEADING)):
         parts["the planner for goals with a heading"] = compile_for_headings
     return parts
 
@@ -185,7 +185,7 @@ def _exercise(vehicle: Vehicle) -> None:
         dirt.start(state)
         dirt.grow(iterations=10)
         dirt.plan()
-        _marker(SEARCH).touch()
+        mark(_marker(SEARCH))
 
 
 @contextmanager
@@ -195,7 +195,7 @@ def _maps_meanwhile() -> Iterator[subprocess.Popen[bytes] | None]:
     It is silent and in a process group of its own, which no Ctrl-C reaches.  If it fails, these kernels compile in
     this process, which reports the error.
     """
-    if _marker(MAPS).exists():
+    if is_marked(_marker(MAPS)):
         yield None
         return
     # -P: files of the working directory do not take the place of installed packages
@@ -220,14 +220,14 @@ def compile_maps() -> None:
     exact.distance(0.5, 0.1)
     exact.lower_bounds(np.zeros((1, 3)))
     half_planes()
-    _marker(MAPS).touch()
+    mark(_marker(MAPS))
 
 
 def compile_for_headings() -> None:
     """Compile the kernels that goals with a heading need for every vehicle: the cost-to-go of poses."""
     field, _, _ = _small_map()
     compile_pose_cost_to_go(field.values, _seconds_to_goal(field, 0))
-    _marker(HEADING).touch()
+    mark(_marker(HEADING))
 
 
 def _small_map() -> tuple[ClearanceField, Workspace, Footprint]:

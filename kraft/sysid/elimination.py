@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ompl_ext.arrays import Floats, Ints, Matrix
-from ompl_ext.jit import cache_folder, compiled, inlined
+from ompl_ext.jit import compiled, inlined
+from ompl_ext.kernel_cache import cache_folder, layers
 
 TINY = 1e-12
 """Added to the information of each state, so that a component without information does not make it singular."""
@@ -302,7 +303,8 @@ def _back_substitute(g: Graph, out: Eliminated, rho: Floats, states: Matrix, con
 
 def is_cached() -> bool:
     """Whether the machine code of both kernels is cached on this machine."""
-    return all(any(_FOLDER.rglob(f"*.{name}-*.nbi")) for name in ("_eliminate", "_back_substitute"))
+    names = "_eliminate", "_back_substitute"
+    return all(any(any(layer.rglob(f"*.{name}-*.nbi")) for layer in layers(_FOLDER)) for name in names)
 
 
 _FOLDER = cache_folder(f"sysid-{hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]}")

@@ -31,7 +31,7 @@ from kraft.sysid.parameters import parameters_of
 from kraft.sysid.problem import NoiseModel, Point, Problem, assemble, noise_model, starting_point
 from kraft.text import MessageSink
 from ompl_ext.arrays import Floats, Matrix
-from ompl_ext.jit import cache_root
+from ompl_ext.kernel_cache import where_kept
 from ompl_ext.kernels.specialise import are_steps_cached
 from ompl_ext.vehicle import Vehicle
 
@@ -172,7 +172,7 @@ def ensure_identification_compiled(vehicle: Vehicle, reference: str, info: Messa
     began = time.perf_counter()
     with elapsed_time(info, f"compiling the model of {reference}"):
         compile_identification(vehicle)
-    info(f"compiled in {time.perf_counter() - began:.0f} s; kept in {cache_root()}")
+    info(f"compiled in {time.perf_counter() - began:.0f} s; kept in {where_kept()}")
 
 
 def compile_identification(vehicle: Vehicle) -> None:

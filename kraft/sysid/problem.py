@@ -24,7 +24,8 @@ from kraft.sysid.initial_values import SmoothedPoses, initial_states
 from kraft.sysid.interface import Noise, Settings
 from kraft.sysid.parameters import Parameters
 from ompl_ext.arrays import Floats, Ints, Matrix
-from ompl_ext.jit import cache_folder, compiled
+from ompl_ext.jit import compiled
+from ompl_ext.kernel_cache import cache_folder
 from ompl_ext.vehicle import Vehicle
 
 PROCESS_POSITION = 0.001

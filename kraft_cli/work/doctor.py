@@ -124,19 +124,21 @@ def _processor() -> Finding:
 
 
 def _cache() -> Finding:
-    """Folder of the compiled kernels, and whether it can be written."""
-    from ompl_ext.jit import cache_root, check_owner
+    """Folder of the compiled kernels, whether it can be read or written, and whether all files in it are whole."""
+    from ompl_ext.kernel_cache import cache_root, check_files, layers
 
-    folder = cache_root().absolute()
     try:
+        root, files = cache_root(), check_files()
+        folder = layers(root / "kernels" / "new")[-1].parents[1]
         check_writable(folder / "kernels" / "new")
-        check_owner()
-        return Finding("kernel cache", "ok", str(folder))
     except CacheError as error:
         return Finding("kernel cache", "missing", str(error))
     except InputError:
         advice = "set KRAFT_CACHE_DIR to a writable folder"
-        return Finding("kernel cache", "missing", f"{folder} cannot be written; {advice}")
+        return Finding("kernel cache", "missing", f"{root.absolute()} cannot be written; {advice}")
+    kept = f"{root.absolute()}, {counted(files, 'file')}"
+    more = "" if folder == root else f"; it cannot be written, and what is compiled is kept in {folder}"
+    return Finding("kernel cache", "ok", kept + more)
 
 
 def _rendering() -> Finding:

@@ -24,7 +24,7 @@ import numpy as np
 
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.interrupts import interrupts_between_passes
-from ompl_ext.jit import cache_folder
+from ompl_ext.kernel_cache import cache_folder, is_marked, mark
 from ompl_ext.kernels.functions import FUNCTIONS
 from ompl_ext.kernels.search import search
 from ompl_ext.vehicle import Vehicle
@@ -112,18 +112,18 @@ def layout_being_compiled() -> Layout:
 
 def is_cached(vehicle: Vehicle) -> bool:
     """Whether `kernels(vehicle)` loads machine code instead of compiling it."""
-    return bool(vehicle.source) and _done_marker(vehicle).exists()
+    return bool(vehicle.source) and is_marked(_done_marker(vehicle))
 
 
 def are_steps_cached(vehicle: Vehicle) -> bool:
     """Whether `step_kernels(vehicle)` has or loads machine code instead of compiling it."""
-    return _key(vehicle) in _steps or (bool(vehicle.source) and _done_marker(vehicle, "steps-complete").exists())
+    return _key(vehicle) in _steps or (bool(vehicle.source) and is_marked(_done_marker(vehicle, "steps-complete")))
 
 
 def is_polish_cached(vehicle: Vehicle) -> bool:
     """Whether `polish_kernels(vehicle)` has or loads machine code instead of compiling it."""
     loaded = _module_name(_key(vehicle), "shooting") in sys.modules
-    return loaded or (bool(vehicle.source) and _done_marker(vehicle, "polish-complete").exists())
+    return loaded or (bool(vehicle.source) and is_marked(_done_marker(vehicle, "polish-complete")))
 
 
 @_one_at_a_time
@@ -142,14 +142,14 @@ def kernels(vehicle: Vehicle) -> VehicleKernels:
             functions[number] = address
         _kernels[key] = VehicleKernels(module.advance, module.roll_out, functions)
         if vehicle.source:
-            _done_marker(vehicle).touch()
+            mark(_done_marker(vehicle))
     return _kernels[key]
 
 
 def is_model_cached(vehicle: Vehicle) -> bool:
     """Whether `model_step(vehicle)` has or loads machine code instead of compiling it."""
     loaded = _module_name(_key(vehicle), "lanes") in sys.modules
-    return loaded or is_cached(vehicle) or (bool(vehicle.source) and _done_marker(vehicle, MODEL).exists())
+    return loaded or is_cached(vehicle) or (bool(vehicle.source) and is_marked(_done_marker(vehicle, MODEL)))
 
 
 @_one_at_a_time
@@ -157,7 +157,7 @@ def model_step(vehicle: Vehicle) -> ModelStep:
     """Compiled step of the model of `vehicle`: `advance` of its kernels, without the search."""
     advance: ModelStep = module_of(vehicle, "lanes").advance
     if vehicle.source:
-        _done_marker(vehicle, MODEL).touch()
+        mark(_done_marker(vehicle, MODEL))
     return advance
 
 
@@ -173,7 +173,7 @@ def step_kernels(vehicle: Vehicle) -> StepKernels:
         module = _execute(vehicle, "steps")
         _steps[key] = StepKernels(module.linearise, module.simulate, module.BLOCK)
         if vehicle.source:
-            _done_marker(vehicle, "steps-complete").touch()
+            mark(_done_marker(vehicle, "steps-complete"))
     return _steps[key]
 
 
@@ -197,7 +197,7 @@ def polish_kernels(vehicle: Vehicle) -> PolishKernels:
     shooting = module_of(vehicle, "shooting")
     steps, solver = (layout_module_of(vehicle, name) for name in ("gauss_newton", "riccati"))
     if vehicle.source:
-        _done_marker(vehicle, "polish-complete").touch()
+        mark(_done_marker(vehicle, "polish-complete"))
     address = shooting.ADDRESS
     return PolishKernels(steps.approximate, steps.evaluate, steps.replay, solver.solve, address, shooting.BLOCK)
 
@@ -205,7 +205,7 @@ def polish_kernels(vehicle: Vehicle) -> PolishKernels:
 def is_module_cached(vehicle: Vehicle, source: str) -> bool:
     """Whether `optional_module(vehicle, source)` has or loads machine code instead of compiling it."""
     loaded = _module_name(_key(vehicle), source) in sys.modules
-    return loaded or (bool(vehicle.source) and _optional_marker(vehicle, source).exists())
+    return loaded or (bool(vehicle.source) and is_marked(_optional_marker(vehicle, source)))
 
 
 @_one_at_a_time
@@ -215,7 +215,7 @@ def optional_module(vehicle: Vehicle, source: str) -> ModuleType:
     shared = source in FOR_ALL_VEHICLES
     module = importlib.import_module(f"ompl_ext.kernels.{source}") if shared else module_of(vehicle, source)
     if vehicle.source:
-        _optional_marker(vehicle, source).touch()
+        mark(_optional_marker(vehicle, source))
     return module
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import re
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from kraft_cli.main import main
 from kraft_cli.work import doctor as environment
 from kraft_cli.work.doctor import REQUIRED, Finding
 from ompl_ext.cache_error import CacheError
+from ompl_ext.kernel_cache import cache_folder
 from ompl_ext.vehicle import Vehicle
 
 GOOD = """name: x
@@ -367,11 +369,23 @@ def test_the_doctor_tries_whether_the_cache_can_be_written(monkeypatch: pytest.M
 
 
 def test_the_doctor_refuses_a_cache_that_another_user_has_made(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def of_another_user() -> None:
+    def of_another_user(_: Path) -> None:
         raise CacheError(tmp_path, "belongs to another user", "expected another folder")
 
-    monkeypatch.setattr("ompl_ext.jit.check_owner", of_another_user)
+    monkeypatch.setattr("ompl_ext.kernel_cache.check_owner", of_another_user)
     assert environment._cache().state == "missing"
+
+
+def test_the_doctor_reads_the_files_of_the_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("KRAFT_CACHE_DIR", str(tmp_path))
+    file = cache_folder() / "tree-1.py311.nbi"
+    file.parent.mkdir(parents=True)
+    file.write_bytes(pickle.dumps("0.68") + pickle.dumps({}))
+    assert environment._cache() == Finding("kernel cache", "ok", f"{tmp_path}, 1 file")
+    file.write_bytes(b"")
+    found = environment._cache()
+    assert found.state == "missing"
+    assert f"{file.parents[1]}: the kernel cache has damaged files: {file.name}" in found.detail
 
 
 @pytest.mark.parametrize("backend", ["foo", "glfw"])

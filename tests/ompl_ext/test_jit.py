@@ -14,10 +14,12 @@ from numba import types
 from numba.core.codegen import get_host_cpu_features
 from support.kernels import BENCHMARK, ROVER
 
-from ompl_ext.jit import cache_folder, callee, caller, compiled, inlined, with_wide_vectors
+from ompl_ext.jit import callee, caller, compiled, inlined
+from ompl_ext.kernel_cache import cache_folder
 from ompl_ext.kernels import tree
 from ompl_ext.kernels.functions import BRAKE, CHECK, PROPAGATE
 from ompl_ext.kernels.specialise import kernels, layout_module_of
+from ompl_ext.processor import with_wide_vectors
 
 
 def shared(function: object) -> bool:
