@@ -36,6 +36,7 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from ompl_ext.cache_error import CacheError
 from ompl_ext.processor import processor
+from ompl_ext.user_folders import below_home, may_write, temporary_root
 
 _config: Any = numba.config  # numba's stubs lack it
 _compiler_lock: Any = global_compiler_lock
@@ -60,37 +61,13 @@ def cache_root() -> Path:
     explicit = os.environ.get("KRAFT_CACHE_DIR")
     if explicit:
         return Path(explicit)
-    base = _user_cache()
-    if base is not None and (_may_write(base / "kraft") or _is_trusted(base / "kraft")):
+    base = below_home("XDG_CACHE_HOME", ".cache")
+    if base is not None and (may_write(base / "kraft") or _is_trusted(base / "kraft")):
         return base / "kraft"
-    temporary = _temporary_root()
+    temporary = temporary_root()
     if temporary is None:
         raise CacheError(base or Path("~/.cache"), "has no writable folder, nor one for temporary files", WRITABLE)
     return temporary
-
-
-def _temporary_root() -> Path | None:
-    """Folder of this user among the temporary files; None where none can be made."""
-    try:
-        return Path(tempfile.gettempdir()) / f"kraft-{os.getuid()}"
-    except FileNotFoundError:  # a machine that is read-only throughout
-        return None
-
-
-def _user_cache() -> Path | None:
-    """The user's cache folder; None for a user that the system does not know, without HOME."""
-    if given := os.environ.get("XDG_CACHE_HOME"):
-        return Path(given)
-    try:
-        return Path.home() / ".cache"
-    except RuntimeError:
-        return None
-
-
-def _may_write(folder: Path) -> bool:
-    """Whether a folder can be written, or made; not below a folder that this user must not enter."""
-    nearest = next(path for path in (folder, *folder.parents) if os.path.exists(path))  # False without permission
-    return os.access(nearest, os.W_OK | os.X_OK)
 
 
 def _is_trusted(folder: Path) -> bool:
@@ -120,9 +97,9 @@ def layers(folder: Path) -> tuple[Path, ...]:
     It is `folder` itself, and behind one that this user may only read its counterpart among the temporary files.
     """
     root = cache_root()
-    if not folder.is_relative_to(root) or not os.path.isdir(root) or _may_write(folder):
+    if not folder.is_relative_to(root) or not os.path.isdir(root) or may_write(folder):
         return (folder,)
-    temporary = _temporary_root()
+    temporary = temporary_root()
     return (folder,) if temporary in (None, root) else (folder, temporary / folder.relative_to(root))
 
 
@@ -166,7 +143,7 @@ def check_owner(folder: Path) -> None:
     Raises:
         CacheError: another user has made its folder, and could put code into it.
     """
-    root = _temporary_root()
+    root = temporary_root()
     if (
         root is not None
         and folder.is_relative_to(root)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import kraft.matplotlib_folder  # noqa: F401  (before matplotlib)
+
+# isort: split
+
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -11,6 +11,7 @@ import sys
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
 
+import kraft.matplotlib_folder  # noqa: F401  (before matplotlib)
 from kraft import __version__
 from kraft.config import bundled
 from kraft.errors import InputError, MissingAsset, MissingDependency

@@ -95,7 +95,7 @@ def test_code_that_another_user_may_have_put_among_the_temporary_files_is_not_ru
 ) -> None:
     (tmp_path / "home").touch()
     monkeypatch.setenv("HOME", str(tmp_path / "home" / "of nobody"))
-    monkeypatch.setattr(kernel_cache, "_may_write", lambda folder: False)
+    monkeypatch.setattr(kernel_cache, "may_write", lambda folder: False)
     check_cache(cache_folder())
     lstat = Path.lstat
     monkeypatch.setattr(
@@ -140,8 +140,8 @@ def read_only(without_kraft_folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_p
     monkeypatch.setenv("KRAFT_CACHE_DIR", str(root))
     with_signature(cache_folder())
     mark(cache_folder() / "maps")
-    may_write = kernel_cache._may_write
-    monkeypatch.setattr(kernel_cache, "_may_write", lambda p: not p.is_relative_to(root) and may_write(p))
+    may_write = kernel_cache.may_write
+    monkeypatch.setattr(kernel_cache, "may_write", lambda p: not p.is_relative_to(root) and may_write(p))
     return root
 
 
@@ -164,7 +164,7 @@ def test_without_a_place_for_temporary_files_too_it_is_read_and_a_compilation_na
     def refused(**_: object) -> None:
         raise OSError(errno.EROFS, "Read-only file system")
 
-    monkeypatch.setattr(kernel_cache, "_temporary_root", lambda: None)
+    monkeypatch.setattr(kernel_cache, "temporary_root", lambda: None)
     monkeypatch.setattr("tempfile.TemporaryFile", refused)
     assert with_signature(cache_folder()) == 4.0
     with pytest.raises(CacheError, match=rf"^{read_only}.*cannot be written: Read-only file system; .*KRAFT_CACHE_DIR"):
@@ -197,7 +197,7 @@ def test_the_cache_of_a_home_that_cannot_be_written_is_read_if_it_is_the_users_o
     kraft = tmp_path / "cache" / "kraft"
     kraft.mkdir(parents=True)
     monkeypatch.setenv("XDG_CACHE_HOME", str(kraft.parent))
-    monkeypatch.setattr(kernel_cache, "_may_write", lambda folder: False)
+    monkeypatch.setattr(kernel_cache, "may_write", lambda folder: False)
     stat = Path.stat
     monkeypatch.setattr(Path, "stat", lambda p, **o: SimpleNamespace(st_uid=owner) if p == kraft else stat(p, **o))
     assert cache_root() == (kraft if trusted else without_kraft_folder)
