@@ -91,7 +91,7 @@ def ensure_compiled(
 def ensure_all_compiled(needs: Iterable[Needs], report: MessageSink) -> None:
     """Compile what is needed of several vehicles and is not cached, which is reported as one compilation."""
     parts: dict[str, Callable[[], object]] = {}
-    with_planner = not _marker(SEARCH).exists()  # it is compiled with the first vehicle that is not cached
+    with_planner = not is_marked(_marker(SEARCH))  # it is compiled with the first vehicle that is not cached
     for each in needs:
         parts.update(_missing(each, with_planner))
         with_planner = with_planner and is_cached(each.vehicle)
