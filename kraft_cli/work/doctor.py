@@ -50,7 +50,11 @@ OPTIONAL: Final[dict[str, tuple[str, str, str]]] = {
     "cyclonedds": ("cyclonedds.domain", "ros2", "`transport: {kind: ros2}` of robots"),
     "websockets": ("websockets.sync.client", "rosbridge", "`transport: {kind: rosbridge}` of robots, such as `sim`"),
     "casadi": ("casadi", "mpc", "controllers `nmpc`, as of the methods nmpc and kraft-nmpc"),
-    "dynobench": ("dynobench", "dynobench", "lets its own package judge plans in `python -m benchmarks goals`"),
+    "dynobench": (
+        "dynobench",
+        "dynobench",
+        "judges plans in `python -m benchmarks goals` (Python 3.11 on x86-64 alone)",
+    ),
     "opencv-python-headless": ("cv2", "vision", "detects tags in rendered frames (`sensing.preset: rendered`)"),
 }
 """Each optional package: the module to import, the extra that installs it, and its purpose."""

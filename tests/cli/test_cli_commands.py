@@ -357,6 +357,12 @@ def test_a_package_that_does_not_load_is_missing_with_the_reason() -> None:
     assert finding == Finding("nothing", "missing", "No module named 'there_is_no_such_module'")
 
 
+def test_an_extra_that_installs_nothing_elsewhere_says_where_it_does() -> None:
+    finding = environment._extra("nothing", "there_is_no_such_module", *environment.OPTIONAL["dynobench"][1:])
+    assert finding.state == "note"
+    assert "(Python 3.11 on x86-64 alone)" in finding.detail
+
+
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc")
 def test_the_doctor_tries_whether_the_cache_can_be_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("KRAFT_CACHE_DIR", "/proc/c")
