@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.messages import without_loading
 from support.paths import ROOT
 from support.screen import Screen
 
@@ -218,7 +219,7 @@ def test_a_cache_that_cannot_be_written_is_explained_in_one_line() -> None:
         cwd=ROOT, env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (2, "")
-    assert re.fullmatch(r"/proc/c/\S+: .*KRAFT_CACHE_DIR.*\n", done.stderr)
+    assert re.fullmatch(r"/proc/c/\S+: .*KRAFT_CACHE_DIR.*\n", without_loading(done.stderr))
 
 
 def test_light_commands_do_not_load_heavy_packages() -> None:

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from support import fake_trials
 from support.evaluation import StoppingObserver, kept, refused
+from support.messages import without_loading
 from support.paths import ROOT
 
 from kraft.errors import Code, MissingDependency
@@ -156,7 +157,7 @@ def test_a_wrong_address_ends_at_once_with_one_line_and_leaves_no_folder(tmp_pat
         cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (2, "")
-    assert re.fullmatch(r"--cluster: .*\n", done.stderr)
+    assert re.fullmatch(r"--cluster: .*\n", without_loading(done.stderr))
     assert not (tmp_path / "out").exists()
 
 
