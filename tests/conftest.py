@@ -17,7 +17,7 @@ from ompl_ext.cores import ONE_BLAS_THREAD
 
 COMPILE = """
 import sys
-from kraft.planning.compilation import compile_for_headings, compile_maps, ensure_compiled
+from kraft.planning.compilation import compile_poses, compile_maps, ensure_compiled
 from kraft.sysid.factor_graph import ensure_identification_compiled
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.kernels.callback_kernel import grow
@@ -27,7 +27,7 @@ from ompl_ext.kernels.specialise import (
 from support.kernels import ROVER
 if "shared" in sys.argv:
     compile_maps()
-    compile_for_headings()
+    compile_poses()
     grow()
     ensure_identification_compiled(load_vehicle("mushr"), "mushr", str)
 for name in sys.argv[1:]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from kraft.config.document import frozen
-from kraft.driving.control import kernel_modules, needs_steps
+from kraft.driving.control import kernel_modules, needs_poses, needs_steps
 from kraft.errors import Code, Diagnostic, Problems, Unreachable, out_of_range
 from kraft.evaluation.cluster import Cluster
 from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, Experiment, MethodLike, experiment_of
@@ -201,7 +201,8 @@ def _ensure_compiled(experiment: Experiment, log: MessageSink) -> None:
         heading = any(cell.scenario.goal.heading is not None for cell in cells)
         polish = any(cell.method.planner.polish for cell in cells)
         modules = sorted({name for cell in cells for name in kernel_modules(cell.method)})
-        needs.append(Needs(vehicle, steps, heading, polish, modules))
+        poses = any(needs_poses(cell.method) for cell in cells)
+        needs.append(Needs(vehicle, steps, heading, polish, modules, poses))
     ensure_all_compiled(needs, log)
 
 

@@ -24,9 +24,12 @@ from ompl_ext.exact import ExactClearance
 from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.kernel_cache import cache_folder, is_marked, mark, where_kept
 from ompl_ext.kernels.clearance import ClearanceField, cover, fields
-from ompl_ext.kernels.costtogo import cost_to_go
+from ompl_ext.kernels.costtogo import cost_to_go, descend, smooth
+from ompl_ext.kernels.fine_field import raise_to_fine
 from ompl_ext.kernels.half_planes import half_planes
+from ompl_ext.kernels.held_signals import hat_means
 from ompl_ext.kernels.moments import moments
+from ompl_ext.kernels.nearest_points import nearest_points
 from ompl_ext.kernels.paths import paths
 from ompl_ext.kernels.pose_fusion import pose_fusion
 from ompl_ext.kernels.posetogo import compile_pose_cost_to_go
@@ -42,6 +45,7 @@ from ompl_ext.kernels.specialise import (
     polish_kernels,
     step_kernels,
 )
+from ompl_ext.kernels.stopping import stop_controls
 from ompl_ext.kernels.tracking import tracking
 from ompl_ext.obstacles import OccupancyGrid, Workspace, box
 from ompl_ext.query import Goal
@@ -52,7 +56,7 @@ POLL: Final = 0.05
 """Longest delay of an interrupt, s."""
 MAPS: Final = "maps"
 MAPS_PART: Final = "the maps' kernels"
-HEADING: Final = "heading"
+POSES: Final = "poses"
 SEARCH: Final = "search"
 """Files that mark what is compiled."""
 OPTIONAL: Final = {"rollouts": "the rollouts", "sst": "the planner sst"}
@@ -67,6 +71,7 @@ class Needs:
     heading: bool = False
     polish: bool = False
     modules: Sequence[str] = ()
+    poses: bool = False
 
 
 def ensure_compiled(
@@ -77,15 +82,16 @@ def ensure_compiled(
     heading: bool = False,
     polish: bool = False,
     modules: Sequence[str] = (),
+    poses: bool = False,
 ) -> None:
     """Compile every kernel that planning for `vehicle` needs, unless it is cached; `report` gets progress messages.
 
     With `steps`, compile what identification and the LQR need too, the steps of the model and the elimination of the
     graph: they would compile while the vehicle drives.  With `polish`, compile the local optimisation of plans; with
-    `heading`, all that goals with a heading need, that among it.  `modules` names kernels that few methods use, see
-    `optional_module`.
+    `poses`, the cost-to-go of poses; with `heading`, all that goals with a heading need, these among it.  `modules`
+    names kernels that few methods use, see `optional_module`.
     """
-    ensure_all_compiled([Needs(vehicle, steps, heading, polish, modules)], report)
+    ensure_all_compiled([Needs(vehicle, steps, heading, polish, modules, poses)], report)
 
 
 def ensure_all_compiled(needs: Iterable[Needs], report: MessageSink) -> None:
@@ -148,8 +154,8 @@ def _missing(needs: Needs, with_planner: bool) -> dict[str, Callable[[], object]
     for name in needs.modules:
         if not is_module_cached(vehicle, name):
             parts[f"{OPTIONAL[name]} for {vehicle.name}"] = partial(optional_module, vehicle, name)
-    if needs.heading and not is_marked(_marker(HEADING)):
-        parts["the planner for goals with a heading"] = compile_for_headings
+    if (needs.heading or needs.poses) and not is_marked(_marker(POSES)):
+        parts["the cost-to-go of poses"] = compile_poses
     return parts
 
 
@@ -163,6 +169,7 @@ def _compile_identification(vehicle: Vehicle) -> None:
     from kraft.sysid.factor_graph import compile_identification
 
     compile_identification(vehicle)
+    hat_means()
     moments()
     pose_fusion()
 
@@ -174,6 +181,8 @@ def _exercise(vehicle: Vehicle) -> None:
             kernels(vehicle)
             tracking()
             paths()
+            nearest_points()
+            stop_controls()
             while maps is not None and maps.poll() is None:
                 check()
                 time.sleep(POLL)
@@ -184,7 +193,11 @@ def _exercise(vehicle: Vehicle) -> None:
         state[[vehicle.index("x"), vehicle.index("y")]] = side / 2
         dirt.start(state)
         dirt.grow(iterations=10)
-        dirt.plan()
+        dirt.retainable_edges(dirt.plan_to(0), 0.0, 10)
+        place, value = np.zeros((1, 2)), np.zeros(1)
+        descend(dirt.problem, place, 0.0, place)
+        smooth(place, 0, place)
+        raise_to_fine(dirt.problem, value, value, value)
         mark(_marker(SEARCH))
 
 
@@ -223,11 +236,11 @@ def compile_maps() -> None:
     mark(_marker(MAPS))
 
 
-def compile_for_headings() -> None:
-    """Compile the kernels that goals with a heading need for every vehicle: the cost-to-go of poses."""
+def compile_poses() -> None:
+    """Compile the kernels of the cost-to-go of poses, which are those of every vehicle."""
     field, _, _ = _small_map()
     compile_pose_cost_to_go(field.values, _seconds_to_goal(field, 0))
-    mark(_marker(HEADING))
+    mark(_marker(POSES))
 
 
 def _small_map() -> tuple[ClearanceField, Workspace, Footprint]:

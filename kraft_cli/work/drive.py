@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 from kraft.config import bundled
 from kraft.config.overrides import parse_overrides
-from kraft.driving.control import kernel_modules, needs_steps
+from kraft.driving.control import kernel_modules, needs_poses, needs_steps
 from kraft.driving.messages import Cycle
 from kraft.driving.method import Method, load_method
 from kraft.errors import Diagnostic, InputError, MissingError, Problems, out_of_range
@@ -99,7 +99,7 @@ def drive_robot(request: DriveRequest, report: MessageSink, problem: MessageSink
     steps, heading = needs_steps(spec.method, spec.vehicle), spec.task.goal.heading is not None
     ensure_compiled(
         spec.vehicle, report, steps=steps, heading=heading, polish=bool(spec.method.planner.polish),
-        modules=kernel_modules(spec.method),
+        modules=kernel_modules(spec.method), poses=needs_poses(spec.method),
     )  # fmt: skip
     check_reachable(spec.task, spec.vehicle)
     if out is not None:

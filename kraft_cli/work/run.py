@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from kraft.config.overrides import parse_overrides, value_text
-from kraft.driving.control import kernel_modules, needs_steps, settings_for
+from kraft.driving.control import kernel_modules, needs_poses, needs_steps, settings_for
 from kraft.driving.messages import Cycle
 from kraft.errors import InputError, Problems
 from kraft.evaluation.experiment import Cell, Experiment, experiment_of
@@ -87,7 +87,7 @@ def run_scenario(
     steps, heading = needs_steps(cell.method, cell.vehicle), cell.scenario.goal.heading is not None
     ensure_compiled(
         cell.vehicle, report, steps=steps, heading=heading, polish=bool(cell.method.planner.polish),
-        modules=kernel_modules(cell.method),
+        modules=kernel_modules(cell.method), poses=needs_poses(cell.method),
     )  # fmt: skip
     check_reachable(cell.scenario.task(), cell.vehicle)
     from kraft.trial.trial import run_trial  # loads the simulator

@@ -187,14 +187,7 @@ def _searched(
     width = float(motions[:, 3].min())
     latest = 0.0 if near is None else float(near.seconds.max())
     buckets = math.ceil((latest + LACKING * motions[:, 3].max() + reversal) / width) + 2
-    table = _Table(
-        seconds=np.full(count, UNKNOWN, np.float32),
-        pose=np.zeros((count, 4), np.float32),
-        link=np.full((count, 2), -1, np.int32),
-        after=np.full((count, 2), -1, np.int32),
-        buckets=np.full(buckets, -1, np.int32),
-        frame=frame.copy(),
-    )
+    table = _empty_table(count, buckets, frame)
     if near is None:
         opened = _open_goal(table, region, maps)
     else:
@@ -202,6 +195,17 @@ def _searched(
         table.frame[FRAME_FINE] = near.complete
     _search(table, opened, width, motions, reversal, maps)
     return table
+
+
+def _empty_table(count: int, buckets: int, frame: Floats) -> _Table:
+    return _Table(
+        seconds=np.full(count, UNKNOWN, np.float32),
+        pose=np.zeros((count, 4), np.float32),
+        link=np.full((count, 2), -1, np.int32),
+        after=np.full((count, 2), -1, np.int32),
+        buckets=np.full(buckets, -1, np.int32),
+        frame=frame.copy(),
+    )
 
 
 def compile_pose_cost_to_go(field: Matrix32, geodesic: Matrix32) -> None:
@@ -217,6 +221,7 @@ def compile_pose_cost_to_go(field: Matrix32, geodesic: Matrix32) -> None:
             maps, bounds, (0.05, 0.05, 0.0), 0.01, 0.1, twists, 0.0, (0.1, 0.1), geodesic, 0.1, maps.discs
         )
     found.path_from(0.05, 0.05, 0.0)
+    _open_near(_empty_table(1, 1, found.frame), 1.0, np.zeros(0, np.float32), np.zeros((0, 4), np.float32))
     fill_penetration(field, 1.0, np.empty_like(field))
 
 

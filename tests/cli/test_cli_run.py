@@ -7,7 +7,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,7 +20,9 @@ from support.paths import ROOT
 
 from kraft.config import bundled
 from kraft.driving.method import load_method
+from kraft.errors import InputError
 from kraft.evaluation.journal import digest
+from kraft.planning.compilation import Needs
 from kraft.scenario import load_scenario
 from kraft.trial.result import TrialSpec
 from kraft.trial.trial import run_trial
@@ -227,6 +229,23 @@ def test_a_missing_extra_is_told_before_anything_is_compiled(
     options = [option.replace("--method", "--methods" if command == "eval" else "--method") for option in options]
     assert main([command, "turns", *options]) == 3
     assert f"[{'mpc' if package == 'casadi' else 'vision'}]" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("method", "poses"), [("kraft", False), ("adaptive-kraft", True)])
+@pytest.mark.parametrize("command", ["run", "eval"])
+def test_what_the_method_plans_with_is_compiled_before_the_drive(
+    command: str, method: str, poses: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    needs: list[Needs] = []
+
+    def compiled(found: Iterable[Needs], _: object) -> None:
+        needs.extend(found)
+        raise InputError.of("test", "ends here", "expected nothing")
+
+    monkeypatch.setattr("kraft.planning.compilation.ensure_all_compiled", compiled)
+    monkeypatch.setattr("kraft.evaluation.evaluator.ensure_all_compiled", compiled)
+    assert main([command, "short.yaml", "--method" if command == "run" else "--methods", method]) == 2
+    assert [each.poses for each in needs] == [poses]
 
 
 @pytest.mark.parametrize("command", ["run", "eval"])

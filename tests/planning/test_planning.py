@@ -410,6 +410,21 @@ def test_what_identification_needs_is_compiled_before_a_vehicle_drives(monkeypat
     assert len([message for message in messages if not message.startswith(" ")]) == 2
 
 
+def test_the_cost_to_go_of_poses_is_compiled_for_methods_and_for_goals_that_need_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    vehicle, messages, compiled = load_vehicle("mushr"), list[str](), list[str]()
+    ensure_compiled(vehicle, lambda _: None, heading=True)
+    monkeypatch.setattr("kraft.planning.compilation.is_marked", lambda marker: marker.name != "poses")
+    monkeypatch.setattr("kraft.planning.compilation.compile_poses", lambda: compiled.append("poses"))
+    ensure_compiled(vehicle, messages.append)
+    assert (messages, compiled) == ([], [])
+    ensure_compiled(vehicle, messages.append, poses=True)
+    ensure_compiled(vehicle, messages.append, heading=True)
+    assert compiled == ["poses", "poses"]
+    assert messages[0].startswith("compiling the cost-to-go of poses for this machine")
+
+
 def test_the_time_of_a_long_compilation_is_told_while_it_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
     vehicle, messages, told = load_vehicle("mushr"), list[str](), threading.Event()
 

@@ -41,6 +41,7 @@ __all__ = [
     "kernel_modules",
     "make_controller",
     "needs_map",
+    "needs_poses",
     "needs_steps",
     "set_map",
     "settings_for",
@@ -65,6 +66,11 @@ def needs_steps(method: Method, vehicle: Vehicle) -> bool:
 def needs_map(method: Method) -> bool:
     """Whether the controller of a method predicts the vehicle in the map."""
     return isinstance(method.controller, Predictive)
+
+
+def needs_poses(method: Method) -> bool:
+    """Whether a method plans with the cost-to-go of poses, whatever the goal."""
+    return method.planner.cost_to_go == "pose"
 
 
 def kernel_modules(method: Method) -> tuple[str, ...]:
