@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
+from kraft.config.source import Source
 from kraft.scenario import Scenario
 from kraft.simulation.car import design_of
 from kraft.simulation.robots import mjcf_robot
 from kraft.simulation.true_world import TrueRobot, true_robot
-from kraft.vehicles.load import load_vehicle, natural_robot
+from kraft.vehicles.load import load_vehicle
+from kraft.vehicles.true_robot import RobotTruth
 from ompl_ext.vehicle import Footprint, Vehicle
 
 
@@ -24,13 +26,13 @@ def outline_of(scenario: Scenario, vehicle: Vehicle) -> Footprint | None:
     return _outline(true_robot(scenario, vehicle), vehicle, highest)
 
 
-def own_outline_of(vehicle: Vehicle) -> Footprint | None:
-    """Outline of the robot that is true where a scenario states none, among obstacles of any height.
+def stated_outline_of(robot: RobotTruth, source: Source, vehicle: Vehicle) -> Footprint | None:
+    """Outline of a robot that the file of a vehicle states, among obstacles of any height.
 
     Raises:
-        InputError: if the robot does not load.
+        InputError: at the line of `source` that states the robot, if it does not load.
     """
-    return _outline(TrueRobot(*natural_robot(vehicle)), vehicle, math.inf)
+    return _outline(TrueRobot(robot, source), vehicle, math.inf)
 
 
 def _outline(true: TrueRobot, vehicle: Vehicle, highest: float) -> Footprint | None:

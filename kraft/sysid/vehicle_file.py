@@ -109,7 +109,7 @@ def vehicle_text(
         record: the section `identification`.
         tighten: whether to reduce the standard deviations to the uncertainty of the estimates.
     """
-    shape = base.recorded.footprint if base.recorded else _about_tracked_point(base, estimated)
+    shape = written_footprint(base, estimated)
     offset = f", offset: {_number(shape.offset)}" if shape.offset else ""
     lines = [
         *header,
@@ -181,6 +181,11 @@ def _controls(base: BaseVehicle) -> Iterator[str]:
         limits = ", ".join(f"{name}: [{_number(a)}, {_number(b)}]" for name, (a, b) in base.controls.items())
         yield ""
         yield f"controls: {{{limits}}}"
+
+
+def written_footprint(base: BaseVehicle, estimated: Mapping[str, ParameterEstimate]) -> Footprint:
+    """Footprint that the file of an identified vehicle states: that of the robot in the logs, or the initial one."""
+    return base.recorded.footprint if base.recorded else _about_tracked_point(base, estimated)
 
 
 def _about_tracked_point(base: BaseVehicle, estimated: Mapping[str, ParameterEstimate]) -> Footprint:

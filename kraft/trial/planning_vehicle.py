@@ -6,6 +6,7 @@ import math
 from typing import Final
 
 from kraft.config import bundled
+from kraft.config.source import Source
 from kraft.driving.method import Method, check_vehicle
 from kraft.errors import InputError
 from kraft.planning.workspace import vehicle_of_task
@@ -138,7 +139,11 @@ def other_robot(scenario: Scenario, vehicle: Vehicle) -> str:
         robot = scenario.truth
     elif robot.car is not None and ("truth",) not in source.keys:
         return _by_default(vehicle)
-    outline = _outline(robot, scenario, vehicle)
+    outline = _simple_outline(robot, vehicle)
+    if outline is None:
+        from kraft.simulation.outline import outline_of  # loads the simulator
+
+        outline = outline_of(scenario, vehicle)
     return "" if outline is None else _uncovered(outline, vehicle)
 
 
@@ -149,19 +154,35 @@ def own_robot(vehicle: Vehicle) -> str:
         InputError: if that robot does not load.
     """
     robot, source = natural_robot(vehicle)
-    outline = _outline(robot, None, vehicle) if ("truth",) in source.keys else None
+    return stated_robot(robot, source, vehicle) if ("truth",) in source.keys else ""
+
+
+def stated_robot(robot: RobotTruth, source: Source, vehicle: Vehicle) -> str:
+    """What to say of a robot that a vehicle's file states, or will state, beside a footprint that does not cover it.
+
+    Args:
+        robot: the true robot, with absolute paths.
+        source: where it is stated.
+        vehicle: vehicle with the footprint of that file.
+
+    Raises:
+        InputError: if that robot does not load.
+    """
+    outline = _simple_outline(robot, vehicle)
+    if outline is None:
+        from kraft.simulation.outline import stated_outline_of  # loads the simulator
+
+        outline = stated_outline_of(robot, source, vehicle)
     return "" if outline is None else _uncovered(outline, vehicle)
 
 
-def _outline(robot: RobotTruth, scenario: Scenario | None, vehicle: Vehicle) -> Footprint | None:
-    """Outline of the robot that is true, without the simulator if it is one of a kind that is known without it."""
+def _simple_outline(robot: RobotTruth, vehicle: Vehicle) -> Footprint | None:
+    """Outline of a true robot of a kind that is known without the simulator; None of others."""
     if robot.kind is None:
         return vehicle.footprint
     if robot.car is not None and robot.car.is_preset:
         return Footprint(*CAR_SIZES[robot.car.preset])
-    from kraft.simulation.outline import outline_of, own_outline_of  # loads the simulator
-
-    return own_outline_of(vehicle) if scenario is None else outline_of(scenario, vehicle)
+    return None
 
 
 def _by_default(vehicle: Vehicle) -> str:

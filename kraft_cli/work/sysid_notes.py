@@ -5,21 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from kraft.config.source import Source
+from kraft.errors import InputError
 from kraft.sysid.acceptance import odd_log_warning
 from kraft.sysid.base_vehicle import BaseVehicle
 from kraft.sysid.command_units import ASSUMED_WHEELBASE, CommandUnit, sign_warnings, unit_notes
 from kraft.sysid.data import LogSplit
 from kraft.sysid.floor import leaning_floor
-from kraft.sysid.interface import Identification, Settings
+from kraft.sysid.interface import Identification, ParameterEstimate, Settings
 from kraft.sysid.parameters import is_unknown_to_planning, without_bounds
 from kraft.sysid.screening import two_cars
 from kraft.sysid.selection import excluded_for_planning
 from kraft.sysid.terms import has_terms
 from kraft.sysid.unexplained import Stretch
+from kraft.sysid.vehicle_file import written_footprint
 from kraft.text import counted
+from kraft.trial.planning_vehicle import own_robot, stated_robot
 from kraft.vehicles import WHEELBASE
 from kraft_cli.work.sysid_fit import Fit
 from kraft_cli.work.sysid_request import SysidRequest
+from ompl_ext.vehicle import Footprint
 
 
 def annotated(
@@ -41,6 +46,7 @@ def annotated(
             *odd_log_warning(fit.evaluation),
             *_of_leaning_floor(split, fit.base),
             *_unknown_to_planning(request, identification),
+            *uncovered_robot(request, base, identification.parameters),
         ),
         notes=(
             *identification.notes,
@@ -53,6 +59,27 @@ def annotated(
             *((taken_over,) if taken_over else ()),
         ),
     )
+
+
+def uncovered_robot(
+    request: SysidRequest, base: BaseVehicle, estimated: Mapping[str, ParameterEstimate]
+) -> tuple[str, ...]:
+    """The warning that the vehicle file to write states a true robot that its footprint does not cover.
+
+    One that does not load is a warning too: the parameters are identified without it.
+    """
+    if request.out is None:
+        return ()
+    shape = written_footprint(base, estimated)
+    footprint = Footprint(shape.length, shape.width, shape.offset)
+    written = replace(base.vehicle, name=str(request.out), footprint=footprint)
+    recorded = base.recorded.truth if base.recorded is not None else None
+    try:
+        found = stated_robot(recorded, Source(str(request.out)), written) if recorded else own_robot(written)
+    except InputError as error:
+        reasons = "; ".join(diagnostic.problem for diagnostic in error.diagnostics)
+        found = f"the true robot that {request.out} states does not load: {reasons}"
+    return (found,) if found else ()
 
 
 def _excluded_note(base: BaseVehicle, settings: Settings) -> tuple[str, ...]:

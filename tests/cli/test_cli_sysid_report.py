@@ -11,6 +11,7 @@ from typing import cast
 import numpy as np
 import pytest
 
+from kraft.config import bundled
 from kraft.recording.area import Area
 from kraft.recording.experiment import PlannedDrive
 from kraft.recording.manoeuvres import Manoeuvre
@@ -18,10 +19,11 @@ from kraft.sysid.base_vehicle import load_base_vehicle
 from kraft.sysid.interface import ModelTrial
 from kraft.sysid.parameters import parameter_specs
 from kraft.vehicles.config import VehicleConfig
-from kraft.vehicles.load import configured, load_vehicle
+from kraft.vehicles.load import RecordedVehicle, configured, load_vehicle
+from kraft.vehicles.true_robot import CarDimensions, RobotTruth
 from kraft_cli.work.next_drives import NextDrives, next_lines
 from kraft_cli.work.sysid import SysidResult
-from kraft_cli.work.sysid_notes import bounds_note, braking_note
+from kraft_cli.work.sysid_notes import bounds_note, braking_note, uncovered_robot
 from kraft_cli.work.sysid_report import BY_MODEL, choice_lines, model_caption
 from kraft_cli.work.sysid_request import SysidRequest
 
@@ -92,6 +94,34 @@ def test_bounds_that_nobody_states_are_noted_and_leave_an_offset_its_sign() -> N
     bounds = {spec.name: (spec.min, spec.max, spec.unit) for spec in parameter_specs(bare, ())}
     assert bounds["phi_diff"] == (-1.0, 1.0, "rad")
     assert bounds["v_delta"][:2] == pytest.approx((0.06861, 6.861))
+
+
+def test_a_file_whose_footprint_does_not_cover_the_recorded_robot_is_warned_of(tmp_path: Path) -> None:
+    base, request = load_base_vehicle("mushr-drive"), SysidRequest(logs=(), out=tmp_path / "mine.yaml")
+
+    def warned(robot: RobotTruth | None) -> tuple[str, ...]:
+        recorded = RecordedVehicle.of(base.vehicle, RobotTruth()).model_copy(update={"truth": robot})
+        return uncovered_robot(request, replace(base, recorded=recorded), {})
+
+    large = RobotTruth(car=CarDimensions(length=0.6, width=0.35))
+    (warning,) = warned(large)
+    assert f"(0.6 m x 0.35 m) is not covered by the footprint of {tmp_path}/mine.yaml (0.44 m x 0.28 m)" in warning
+    assert "expected footprint: {length: 0.6, width: 0.35}" in warning
+    assert warned(RobotTruth(car=CarDimensions())) == warned(None) == ()
+    (tmp_path / "broken.xml").write_text("<mujoco")
+    (broken,) = warned(RobotTruth(mjcf=str(tmp_path / "broken.xml")))
+    assert "mine.yaml states does not load: " in broken
+    recorded = RecordedVehicle.of(base.vehicle, large)
+    assert uncovered_robot(SysidRequest(logs=()), replace(base, recorded=recorded), {}) == ()
+
+
+def test_a_file_that_keeps_a_robot_beyond_its_footprint_from_the_initial_vehicle_is_warned_of(tmp_path: Path) -> None:
+    text = (bundled.folder("vehicle") / "mushr-drive.yaml").read_text()
+    (tmp_path / "initial.yaml").write_text(text + "truth: {car: {length: 0.6, width: 0.35}}\n")
+    base = load_base_vehicle(str(tmp_path / "initial.yaml"))
+    (warning,) = uncovered_robot(SysidRequest(logs=(), out=tmp_path / "next.yaml"), base, {})
+    assert "is not covered by the footprint of" in warning
+    assert "next.yaml" in warning
 
 
 @pytest.mark.parametrize(("unidentified", "says"), [((), []), (("tau",), ["no drive shows tau"])])
