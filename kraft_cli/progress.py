@@ -77,6 +77,11 @@ class Progress(Observer):
         else:
             self._terminal.info(text)
 
+    def warn(self, text: str) -> None:
+        """Print a warning, even if ``-q`` is given; no bars are there before the first trial."""
+        self._loading.close()
+        self._terminal.problem(f"warning: {text}")
+
     def started(self, experiment: Experiment, folder: Path | None, rows: Mapping[Key, TrialRow]) -> None:
         """Count the finished trials, and start the bars."""
         self._loading.close()

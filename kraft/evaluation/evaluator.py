@@ -35,6 +35,10 @@ class Observer:
     def log(self, text: str) -> None:
         """Receive a message for the user."""
 
+    def warn(self, text: str) -> None:
+        """Receive what is probably a mistake in the trials, before the first of them; by default a message."""
+        self.log(f"warning: {text}")
+
     def started(self, experiment: Experiment, folder: Path | None, rows: Mapping[Key, TrialRow]) -> None:
         """Receive what is about to run; `rows` are finished trials of the resumed folder."""
 
@@ -123,7 +127,7 @@ def evaluate(
     executor: Executor = Cluster(cluster) if cluster is not None else Processes(jobs or usable_cores())
     warnings = tuple(_warnings(experiment))
     for text in warnings:
-        observer.log(f"warning: {text}")
+        observer.warn(text)
     _ensure_compiled(experiment, observer.log)
     experiment = replace(experiment, bounds=_least_times(experiment), warnings=warnings)
     if out is None:

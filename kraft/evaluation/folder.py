@@ -164,7 +164,8 @@ def write_results(
     Raises:
         InputError: if a file cannot be written.
     """
-    write_json(folder.path / SUMMARY, {"schema": SCHEMA, **evaluation_json(summary)})
+    content = evaluation_json(summary, experiment.warnings)
+    write_json(folder.path / SUMMARY, {"schema": SCHEMA, **content})
     replays = journal.Replays(folder.path / journal.REPLAYS)
     results = Results.of(experiment, folder.manifest, rows, summary, command_line, replays)
     write_whole(folder.path / report.NAME, report.page(results).encode())

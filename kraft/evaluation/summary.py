@@ -193,14 +193,15 @@ def tabulate(
     return Summary(len(seeds), seeds.start, realtime, wall, tuple(results))
 
 
-def evaluation_json(summary: Summary) -> dict[str, Any]:
-    """Content of the ``kraft.eval/1`` object, without its schema."""
+def evaluation_json(summary: Summary, warnings: Sequence[str] = ()) -> dict[str, Any]:
+    """Content of the ``kraft.eval/1`` object, without its schema; `warnings` are those before the first trial."""
     return {
         "trials": summary.trials,
         "seed": summary.seed,
         "realtime": summary.realtime,
         "wall_s": round(summary.wall, 3),
         "failed": summary.failed,
+        "warnings": list(warnings),
         "results": [_result_json(result) for result in summary.results],
     }
 

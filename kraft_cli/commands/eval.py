@@ -113,6 +113,8 @@ def eval_(
     if not evaluation.complete:
         terminal.problem(f"stopped; every finished trial is kept; to resume: {resume_command(request)}")
         return ExitStatus(128 + interrupts.received)
+    if out is None and terminal.quiet and not json:  # nothing else says where the results are
+        terminal.problem(f"results in {evaluation.folder}")
     return _print_results(terminal, evaluation, json)
 
 
@@ -122,7 +124,8 @@ def _print_results(terminal: Terminal, evaluation: Evaluation, json: bool) -> Ex
     from kraft_cli.tables import show_tables, show_unsuccessful
 
     if json:
-        content = {**evaluation_json(evaluation.summary), "folder": str(evaluation.folder)}
+        warnings = evaluation.experiment.warnings
+        content = {**evaluation_json(evaluation.summary, warnings), "folder": str(evaluation.folder)}
         terminal.json(SCHEMA, content)
     else:
         show_tables(terminal, evaluation.summary)

@@ -374,6 +374,14 @@ def test_quiet_says_nothing_and_bars_are_only_for_a_terminal(inline: None) -> No
     assert err.getvalue() == ""
 
 
+def test_a_folder_that_was_not_chosen_is_told_if_nothing_else_is(
+    inline: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["-q", "eval", "turns", "--methods", "kraft", "--trials", "1"]) == 0
+    (folder,) = Path("results").iterdir()
+    assert capsys.readouterr().err == f"results in {folder}\n"
+
+
 def test_the_first_signal_while_trials_run_is_a_request_and_all_others_raise() -> None:
     terminal = Terminal(io.StringIO(), io.StringIO())
     interrupts = Interrupts(terminal)

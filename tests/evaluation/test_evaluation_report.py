@@ -54,10 +54,15 @@ def test_a_warning_is_kept_in_the_folder_and_shown_at_the_top_of_the_page(
     (told,) = [line.removeprefix("warning: ") for line in lines if line.startswith("warning: ")]
     assert told.startswith("turns: the true robot is the MuSHR")
     assert lines[-1] == "1 warning before the first trial, also at the top of the page"
-    assert json.loads(Path("warned/manifest.json").read_text())["warnings"] == [told]
+    for name in ("manifest.json", "summary.json"):
+        assert json.loads(Path("warned", name).read_text())["warnings"] == [told]
     for made in (Path("warned/report.html").read_text(encoding="utf-8"), page(read_results(Path("warned")))):
         text = text_of(Tags(made))
         assert text.index(f"Warning: {told}") < text.index("Overview")
+    assert main(["-q", *arguments, "--vehicle", "mine.yaml", "--out", "quiet", "--json"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err.splitlines() == [f"warning: {told}"]
+    assert json.loads(printed.out)["warnings"] == [told]
     assert main([*arguments, "--out", "silent"]) == 0
     assert json.loads(Path("silent/manifest.json").read_text())["warnings"] == []
     assert "Warning" not in text_of(Tags(Path("silent/report.html").read_text(encoding="utf-8")))
