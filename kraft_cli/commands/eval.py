@@ -131,8 +131,8 @@ def _print_results(terminal: Terminal, evaluation: Evaluation, json: bool) -> Ex
         show_tables(terminal, evaluation.summary)
         show_unsuccessful(terminal, evaluation.rows, evaluation.folder)
         terminal.info(f"results in {evaluation.folder}; page: {evaluation.folder}/report.html")
-        if warned := len(evaluation.experiment.warnings):
-            terminal.info(f"{counted(warned, 'warning')} before the first trial, also at the top of the page")
+        for text in evaluation.experiment.warnings:  # again: the lines of the trials are between
+            terminal.info(f"warning: {text}")
     failed = [row for row in evaluation.rows if row.outcome == "failed"]
     for row in failed:
         terminal.problem(f"{row.key[0]}, {row.method}, seed {row.seed}: failed: {row.error}")
