@@ -190,7 +190,7 @@ def _warnings(experiment: Experiment) -> Iterator[str]:
         if not found:
             continue
         name, text = next(iter(found.items()))
-        more = f"; so it is in {counted(len(found) - 1, 'other entry')}" if len(found) > 1 else ""
+        more = f"; the same in {counted(len(found) - 1, 'other entry')}" if len(found) > 1 else ""
         yield f"{name}: {text}{more}"
 
 

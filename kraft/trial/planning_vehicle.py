@@ -190,11 +190,17 @@ def _by_default(vehicle: Vehicle) -> str:
     shape, size, top_speed = vehicle.footprint, CAR_SIZES["mushr"], load_vehicle(MUSHR).top_speed
     if _are_alike(_size(vehicle), size) and 1.0 / ALIKE_SPEED < vehicle.top_speed / top_speed < ALIKE_SPEED:
         return ""
+    stated = f"the file of {vehicle.name}" if vehicle.file else f"{vehicle.name}, which is code and cannot,"
+    place = "the file of the vehicle" if vehicle.file else "a vehicle file whose model is that code"
+    robot = (
+        f"{{car: {{length: {shape.length:g}, width: {shape.width:g}, "
+        f"drive: {{top_speed: {vehicle.top_speed:.2g}, time_constant: 0.5}}}}}}"
+    )
     return (
-        f"the true robot is the MuSHR ({size[0]:g} m x {size[1]:g} m, top speed {top_speed:.2g} m/s) "
-        f"because neither the scenario nor the file of {vehicle.name} ({shape.length:g} m x {shape.width:g} m, "
-        f"top speed {vehicle.top_speed:.2g} m/s) states another, such as truth: {{car: {{length: {shape.length:g}, "
-        f"width: {shape.width:g}, drive: {{top_speed: {vehicle.top_speed:.2g}, time_constant: 0.5}}}}}}"
+        f"the true robot is the MuSHR ({size[0]:g} m x {size[1]:g} m, top speed {top_speed:.2g} m/s) because neither "
+        f"the scenario nor {stated} states another; {vehicle.name} is {shape.length:g} m x {shape.width:g} m, top "
+        f"speed {vehicle.top_speed:.2g} m/s; expected its robot, such as truth: {robot}, in {place} or in the "
+        "scenario, there also with --set 'truth={...}'"
     )
 
 

@@ -54,6 +54,7 @@ def test_a_warning_is_kept_in_the_folder_and_shown_at_the_top_of_the_page(
     told, again = (line.removeprefix("warning: ") for line in lines if line.startswith("warning: "))
     assert again == told
     assert told.startswith("turns: the true robot is the MuSHR")
+    assert told.endswith("; the same in 1 other entry")
     assert lines[-1] == f"warning: {told}"
     for name in ("manifest.json", "summary.json"):
         assert json.loads(Path("warned", name).read_text())["warnings"] == [told]

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from support.paths import ROOT
 
+from kraft.config.overrides import parse_overrides
 from kraft.driving.method import load_method
 from kraft.scenario import load_scenario
 from kraft.simulation.car import PRESETS
@@ -116,6 +117,23 @@ def test_what_cannot_be_true_of_a_row_is_said() -> None:
     assert "top speed 0.71 m/s" in other_robot(slope, fast)
     for name in ("mushr", "mushr-drive", "f1tenth", "jackal", "unicycle2"):
         assert other_robot(slope, load_vehicle(name)) == ""
+
+
+def test_the_warning_of_the_mushr_says_where_another_robot_can_be_stated(tmp_path: Path) -> None:
+    slope, known = load_scenario("slope"), load_vehicle("mushr-drive")
+    truck = replace(known, footprint=Footprint(2.0, 0.8), file="", name="truck")
+    of_code = other_robot(slope, truck)
+    assert "nor truck, which is code and cannot, states another" in of_code
+    assert (
+        "in a vehicle file whose model is that code or in the scenario, there also with --set 'truth={...}'" in of_code
+    )
+    own = tmp_path / "truck.yaml"
+    own.write_text(Path(known.file).read_text().replace("footprint:", "footprint: {length: 2.0, width: 0.8}  #", 1))
+    of_file = other_robot(slope, load_vehicle(own))
+    assert "nor the file of mushr-drive states another" in of_file
+    assert "in the file of the vehicle or in the scenario, there also with --set 'truth={...}'" in of_file
+    robot = of_code.split("such as truth: ")[1].split(", in a vehicle file")[0]
+    assert other_robot(load_scenario("slope", parse_overrides([f"truth={robot}"], "set")), truck) == ""
 
 
 def test_a_true_car_that_reaches_beyond_the_footprint_is_said() -> None:
