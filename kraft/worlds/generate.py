@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -223,12 +224,13 @@ def generate_worlds(
     problems = Problems()
     problems.found += [*out_of_range("count", count, 1, COUNT_MAX), *out_of_range("seed", seed, 0)]
     problems.found += _layout_problems(kind, density)
-    reference = None if vehicle is None else problems.of(lambda: resolved_argument(vehicle))
+    if vehicle is not None:
+        problems.of(lambda: resolved_argument(vehicle))
     problems.of(lambda: check_new_folder(out))
     problems.check()
     worlds: list[World] = []
     for each, number in _numbered(kind, seed, count):
-        worlds.append(generate(each, number, reference, density, log))
+        worlds.append(generate(each, number, vehicle, density, log))
         log(finished(len(worlds), count, worlds[-1].name))
     description = f"{counted(count, 'world')}: kraft generate {kind} --seed {seed} --count {count}"
     return write_worlds(worlds, out, f"{kind}-{seed}", description)
@@ -265,7 +267,7 @@ def generate(
     Raises:
         InputError: if the vehicle cannot be loaded, or after many attempts no layout counts.
     """
-    reference = vehicle or USUAL.get(kind, "mushr")
+    reference = resolved_argument(vehicle) if vehicle else USUAL.get(kind, "mushr")
     loaded = load_vehicle(reference)
     ensure_compiled(loaded, log)
     size = Size.of(loaded)
@@ -279,20 +281,26 @@ def generate(
             continue
         searches += 1
         if finds_plan(task, loaded, ITERATIONS):
-            words = [
-                "kraft generate",
-                kind,
-                f"--seed {seed}",
-                *([f"--vehicle {Path(vehicle).name}"] if vehicle else []),
-            ]
-            words += [f"--density {density:g}"] if density and kind == "clutter" else []
-            return replace(world, remark=f"Written by {' '.join(words)}{world.remark}.")
+            return replace(world, remark=f"Written by {_command(kind, seed, vehicle, density)}{world.remark}.")
         if searches == SEARCHES:
             break
     problem = f"{name}: none of {counted(attempt + 1, 'layout')} leaves {loaded.name} a way to the goal"
     if searches:
         problem += f" with a plan that is found in {counted(ITERATIONS, 'iteration')}"
     raise InputError.of_argument("density" if kind == "clutter" else "vehicle", problem, "expected a smaller one")
+
+
+def _command(kind: str, seed: int, vehicle: str | None, density: float | None) -> str:
+    """Command that repeats a world.
+
+    A vehicle is named as it was given, except that an absolute path is left out: it holds on one machine alone.
+    """
+    words = ["kraft", "generate", kind, "--seed", str(seed)]
+    if vehicle:
+        words += ["--vehicle", Path(vehicle).name if Path(vehicle).is_absolute() else vehicle]
+    if density and kind == "clutter":
+        words += ["--density", f"{density:g}"]
+    return shlex.join(words)
 
 
 def _world(kind: str, name: str, rng: np.random.Generator, size: Size, vehicle: str, density: float) -> World:

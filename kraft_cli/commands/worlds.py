@@ -91,10 +91,12 @@ def generate(
     The same seed gives the same world, for which the vehicle has a plan.
     """
     from kraft.worlds.generate import generate_worlds
-    from kraft_cli.work.worlds import generated_json
+    from kraft_cli.work.worlds import generated_json, robot_warning
 
     terminal: Terminal = context.obj
     written = generate_worlds(kind, out, seed=seed, count=count, vehicle=vehicle, density=density, log=terminal.info)
+    if warning := robot_warning(written, vehicle):
+        terminal.problem(f"warning: {warning}")
     if json:
         terminal.json("kraft.generate/1", generated_json(kind, seed, written))
     else:

@@ -8,7 +8,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.errors import Code, InputError, Problems
+from kraft.planning.workspace import vehicle_of_task
+from kraft.scenario import load_scenario
 from kraft.text import MessageSink
+from kraft.trial.planning_vehicle import other_robot
 from kraft.worlds.imports import Collection, Request, read_sources, write_imported
 from kraft.worlds.world import Written
 
@@ -93,6 +96,21 @@ def imported_json(kind: str, found: Collection) -> dict[str, Any]:
         "suite": str(found.written.suite),
         "scenarios": scenarios,
     }
+
+
+def robot_warning(written: Written, vehicle: str | None) -> str:
+    """What to say of the robot that is true in generated worlds for a vehicle; empty if there is nothing.
+
+    The worlds are alike in that, so that the first one stands for all; without `vehicle` all have a bundled one.
+    A robot that does not load is a warning too: planning in the worlds is possible.
+    """
+    if vehicle is None:
+        return ""
+    scenario = load_scenario(written.scenarios[0])
+    try:
+        return other_robot(scenario, vehicle_of_task(scenario.task()))
+    except InputError as error:
+        return "; ".join(map(str, error.diagnostics))
 
 
 def generated_json(kind: str, seed: int, written: Written) -> dict[str, Any]:

@@ -195,6 +195,27 @@ def test_a_density_that_leaves_no_way_is_refused(monkeypatch: pytest.MonkeyPatch
     assert caught.value.diagnostics[0].argument
 
 
+def test_worlds_of_a_vehicle_in_code_name_its_file_and_warn_once_of_the_robot_that_drives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("cars").mkdir()
+    Path("cars/big.py").write_text(
+        "from dataclasses import replace\n"
+        "from kraft.vehicles.mushr import MUSHR\n"
+        "from ompl_ext import Footprint\n"
+        'BIG = replace(MUSHR, name="big", footprint=Footprint(0.8, 0.4))\n'
+    )
+    options = ["generate", "posts", "--seed", "3", "--count", "2", "--vehicle", "cars/big.py:BIG", "--out", "made"]
+    assert main(["-q", *options]) == 0
+    (warning,) = capsys.readouterr().err.splitlines()
+    assert warning.startswith("warning: the true robot is the MuSHR")
+    first = Path("made/posts-003.yaml").read_text().splitlines()[0]
+    assert first == "# Written by kraft generate posts --seed 3 --vehicle cars/big.py:BIG."
+    assert main(["-q", "generate", "posts", "--vehicle", "mushr", "--out", "silent"]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_worlds_and_their_vehicle_may_be_moved_together(tmp_path: Path) -> None:
     (tmp_path / "here" / "cars").mkdir(parents=True)
     car = shutil.copy(ROOT / "configs" / "vehicles" / "mushr.yaml", tmp_path / "here" / "cars" / "own.yaml")
