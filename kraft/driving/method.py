@@ -398,6 +398,13 @@ def load_method(name_or_path: str | Path) -> Method:
     return method
 
 
+RANGES_IN_CODE: Final = (
+    "ranges={name: ParameterRange(low, high, std)} with ParameterRange of ompl_ext.vehicle, std 0 and both bounds the "
+    "value if that is known"
+)
+"""How a vehicle in code states what is known of its parameters before a drive."""
+
+
 def check_vehicle(method: Method, vehicle: Vehicle, *, own: bool) -> None:
     """Check that a vehicle has what the method's estimator needs; `own` is whether the method itself names it.
 
@@ -408,7 +415,7 @@ def check_vehicle(method: Method, vehicle: Vehicle, *, own: bool) -> None:
     check_state(vehicle)
     if not isinstance(method.estimator, Adaptive):
         return
-    problem = unstated_ranges(vehicle)
+    problem = unstated_ranges(vehicle, f"the method {method.name}")
     if problem is not None and own:
         what = f"{vehicle.name} {problem.problem}"
         raise InputError([method.source.diagnostic("planner.vehicle", what, problem.expected, code=problem.code)])
@@ -416,9 +423,12 @@ def check_vehicle(method: Method, vehicle: Vehicle, *, own: bool) -> None:
         raise InputError([problem])
 
 
-def unstated_ranges(vehicle: Vehicle) -> Diagnostic | None:
-    """Why the parameters of a vehicle cannot be estimated while it drives, at its file; None if they can."""
-    reason = "because the method estimates parameters while it drives"
+def unstated_ranges(vehicle: Vehicle, estimates: str) -> Diagnostic | None:
+    """Why the parameters of a vehicle cannot be estimated while it drives, at its file; None if they can.
+
+    `estimates` is what estimates them, as in a sentence.
+    """
+    reason = f"because {estimates} estimates parameters while it drives"
     if not vehicle.parameters:
         return Diagnostic(vehicle.name, "has no parameters", f"expected at least one, {reason}", code=Code.MISSING)
     missing = ", ".join(name for name in vehicle.parameters if name not in vehicle.ranges)
@@ -428,6 +438,5 @@ def unstated_ranges(vehicle: Vehicle) -> Diagnostic | None:
     if vehicle.file:
         expected = f"expected each parameter with these, or with `fixed: true` if its value is known, {reason}"
     else:
-        ranges = "ranges={name: ParameterRange(low, high, std)}, with std 0 and both bounds the value if that is known"
-        expected = f"expected {ranges}, or a vehicle file that states them, {reason}"
+        expected = f"expected {RANGES_IN_CODE}, or a vehicle file that states them, {reason}"
     return problem_of(vehicle, "parameters", problem, expected, Code.MISSING)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from kraft.driving.car_model import model_of
+from kraft.driving.method import RANGES_IN_CODE
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.elapsed import elapsed_time
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
@@ -236,10 +237,7 @@ def _check_priors(base: BaseVehicle) -> None:
     lacking = {name: [key for key in ("min", "max", "std") if getattr(p, key) is None] for name, p in free.items()}
     unstated = {name: keys for name, keys in lacking.items() if keys}
     if unstated and not isinstance(definition, VehicleConfig):
-        expected = (
-            "expected ranges={name: ParameterRange(low, high, std)}, with std 0 and both bounds the value if that is "
-            "known, or a vehicle file that states them"
-        )
+        expected = f"expected {RANGES_IN_CODE}, or a vehicle file that states them"
         raise InputError.of(reference, f"states no min, max and std of {', '.join(unstated)}", expected, Code.MISSING)
     if unstated:
         assert isinstance(definition, VehicleConfig), "code is refused above"

@@ -192,7 +192,8 @@ def test_a_vehicle_in_code_without_ranges_is_told_how_code_states_them() -> None
         TrialSpec.load("turns", "adaptive-kraft", vehicle="kraft.vehicles.mushr:MUSHR")
     (problem,) = caught.value.diagnostics
     assert (problem.file, problem.code) == ("mushr", Code.MISSING)
-    assert "ranges={name: ParameterRange(low, high, std)}" in problem.expected
+    assert "ranges={name: ParameterRange(low, high, std)} with ParameterRange of ompl_ext.vehicle" in problem.expected
+    assert "because the method adaptive-kraft estimates parameters" in problem.expected
 
 
 BARE = """from ompl_ext import Footprint, Vehicle, cos, derivative, sin

@@ -299,7 +299,7 @@ def online_parameters(vehicle: Vehicle, settings: Adaptive, sloping: bool = Fals
     Raises:
         InputError: if the vehicle states no range of a parameter.
     """
-    if (problem := unstated_ranges(vehicle)) is not None:
+    if (problem := unstated_ranges(vehicle, "the estimator adaptive")) is not None:
         raise InputError([problem])
     ranges = vehicle.ranges
     known = frozenset(name for name, allowed in ranges.items() if allowed.is_known)
