@@ -39,8 +39,7 @@ repeats it. Cells have the number of successes and of collisions ("hit"); the ot
 brackets is the mean time of the successful trials. Intervals are Wilson's, 95 %; those over all entries hold for other
 seeds of these entries, not for other worlds.
 """
-
-
+PAPER_HEADING = "## Successes beside the paper's"
 CLAIMS_HEADING = """## What the paper claims
 
 Replanning, long horizons, feedback and safety each help: the methods of a row differ in this part
@@ -51,6 +50,12 @@ over entries. Times are of pairs in which both succeeded: the geometric mean ove
 times, with a bootstrapped 95 % interval (BCa, over entries). The verdict states what an interval excludes, of successes
 and collisions if p is below 0.05 too; the intervals are not adjusted for their number.
 """
+CLAIMS_TEXT = (
+    "What the paper claims, on the trials of this evaluation that both methods have. p is that of the exact sign-flip "
+    "test over entries. It cannot be less than *least p*: 2 / 2^k if the methods differ in k entries, so that five or "
+    "fewer are never below 0.05, however large the differences. [All evaluations together](#what-the-paper-claims) "
+    "have more entries."
+)
 BENCHMARKS = "Values are medians, those with a target of the worst the worst sample."
 CLAIMS = (
     Claim("feedback", "oneshot-kinodynamic", "oneshot-openloop"),
@@ -84,17 +89,26 @@ def main(arguments: list[str] | None = None) -> int:
 
 def document(found: Sequence[Results], benchmarks: Path | None = None) -> str:
     """Content of docs/results.md."""
-    parts = [HEADING, *(section(each) for each in found), *claims_section(found)]
+    titles = headings(found)
+    parts = [HEADING, *map(section, found, titles), *differences(found), *claims_section(found)]
     if benchmarks is not None:
         parts.append(benchmark_section(json.loads(benchmarks.read_text(encoding="utf-8"))))
     return "\n".join(parts)
 
 
-def section(found: Results) -> str:
+def headings(found: Sequence[Results]) -> list[str]:
+    """Headings of the sections of results folders; those of the same scenarios name their methods, too."""
+    names = [str(each.manifest.arguments.get("suite") or ", ".join(each.entries)) for each in found]
+    names = [Path(name).parent.name if name.endswith("suite.yaml") else name for name in names]
+    return [
+        f"{name}: {', '.join(each.methods)}" if names.count(name) > 1 else name
+        for name, each in zip(names, found, strict=True)
+    ]
+
+
+def section(found: Results, title: str) -> str:
     """Section of a results folder."""
     manifest = found.manifest
-    name = manifest.arguments.get("suite") or ", ".join(found.entries)
-    title = Path(str(name)).parent.name if str(name).endswith("suite.yaml") else str(name)
     missing = found.expected - len(found.rows)
     first, last = manifest.seeds[0], manifest.seeds[-1]
     seeds = f"seed {first}" if first == last else f"seeds {first} to {last}"
@@ -104,7 +118,7 @@ def section(found: Results) -> str:
     lines = [f"## {title}", "", f"    {command(found)}", "", "; ".join(facts) + ".", ""]
     if len(found.entries) <= MANY:
         lines += [*method_table([found]), "", "All measures:", "", markdown(found.summary)]
-    lines += ["", *totals(found), *kinds(found), *failing(found), *differences(found), *claims(found), ""]
+    lines += ["", *totals(found), *kinds(found), *failing(found), *claims(found), ""]
     return "\n".join(lines)
 
 
@@ -226,17 +240,20 @@ def _counts(results: Sequence[Result]) -> str:
     return ", ".join([*found, *([f"{failed} failed"] if failed else [])])
 
 
-def differences(found: Results) -> list[str]:
-    """Table of the rows that the paper has, with those marked whose success rate differs from the paper's."""
-    rows = [
-        (result, result.paper, fisher_p((result.success, result.trials), (result.paper.success, result.paper.trials)))
-        for result in found.summary.results
-        if result.paper is not None and result.trials
-    ]
+def differences(found: Sequence[Results]) -> list[str]:
+    """Section about the rows that the paper has, in all folders, with those marked whose success rate differs from it.
+
+    Entries are in the order of the folders, the methods of an entry in that of the paper.
+    """
+    results = [(result, result.paper) for each in found for result in each.summary.results]
+    rows = [(result, paper) for result, paper in results if paper is not None and result.trials]
     if not rows:
         return []
+    entries = list(dict.fromkeys(result.entry for result, _ in rows))
+    rows.sort(key=lambda row: (entries.index(row[0].entry), METHODS.index(row[0].method)))
+    tests = [fisher_p((result.success, result.trials), (paper.success, paper.trials)) for result, paper in rows]
     table = [["", "", "found", "95 % interval", "paper", "95 % interval", "p", ""]]
-    for (result, paper, p), adjusted in zip(rows, holm([p for *_, p in rows]), strict=True):
+    for (result, paper), p, adjusted in zip(rows, tests, holm(tests), strict=True):
         higher = result.success * paper.trials > paper.success * result.trials
         verdict = "" if adjusted >= SIGNIFICANT else "higher here" if higher else "lower here"
         table.append([
@@ -245,10 +262,11 @@ def differences(found: Results) -> list[str]:
             f"{paper.success} of {paper.trials}", interval(paper.success, paper.trials), f"{p:.2g}", verdict,
         ])  # fmt: skip
     text = (
-        f"Successes beside the paper's. p is that of Fisher's exact test (two-sided). The last column has what differs "
-        f"with p below {SIGNIFICANT:g} after Holm's adjustment for the number of rows of this table, {len(rows)}:"
+        f"All rows that the paper has; [why they differ](hardness.md#differences-from-the-paper). p is that of "
+        f"Fisher's exact test (two-sided). The last column has what differs with p below {SIGNIFICANT:g} after Holm's "
+        f"adjustment for the number of rows of this table, {len(rows)}."
     )
-    return [*wrap(text, 120), "", *_markdown(table), ""]
+    return ["\n".join([PAPER_HEADING, "", *wrap(text, 120), "", *_markdown(table), ""])]
 
 
 def claims_section(found: Sequence[Results]) -> list[str]:
@@ -262,7 +280,7 @@ def claims_section(found: Sequence[Results]) -> list[str]:
 
 def claims(found: Results) -> list[str]:
     """Table of the paper's claims, over all entries, on the trials that both methods have."""
-    rows = [["what helps", "method", "instead of", "successes", "gained / lost", "p"]]
+    rows = [["what helps", "method", "instead of", "successes", "gained / lost", "p", "least p"]]
     for claim in CLAIMS:
         if not found.methods.keys() >= set(claim.methods):
             continue
@@ -271,12 +289,11 @@ def claims(found: Results) -> list[str]:
             continue
         test = compared.success
         counts = "{} : {} of {}".format(*test.counts, test.pairs)
-        titles = [found.methods[name] for name in claim.methods]
-        rows.append([claim.part, *titles, counts, f"{test.gained} / {test.lost}", f"{test.p:.2g}"])
+        names, changed = [found.methods[name] for name in claim.methods], f"{test.gained} / {test.lost}"
+        rows.append([claim.part, *names, counts, changed, f"{test.p:.2g}", f"{test.least_p:.2g}"])
     if len(rows) == 1:
         return []
-    text = "What the paper claims, on the trials that both methods have (exact sign-flip test over entries):"
-    return [text, "", *_markdown(rows), ""]
+    return [*wrap(CLAIMS_TEXT, 120), "", *_markdown(rows), ""]
 
 
 def benchmark_section(content: dict[str, object]) -> str:

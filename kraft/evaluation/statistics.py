@@ -111,6 +111,7 @@ class PairedDifference:
         difference: share of the first one minus that of the second one.
         interval: 95 % interval of the difference, bootstrapped over groups.
         p: two-sided p-value of the exact sign-flip test over groups.
+        least_p: least p-value that this test can give with as many groups in which the methods differ.
     """
 
     pairs: int
@@ -120,6 +121,7 @@ class PairedDifference:
     difference: float
     interval: tuple[float, float]
     p: float
+    least_p: float
 
     @property
     def shown(self) -> int:
@@ -160,8 +162,9 @@ def paired_difference(
     if interval is None:
         each = len(number) / n
         interval = newcombe(each * both, each * gained, each * lost, each * (n - both - gained - lost), confidence)
-    p = sign_flip_p([round(change) for change in changes])
-    return PairedDifference(n, (sum(one), sum(other)), gained, lost, (gained - lost) / n, interval, p)
+    whole = [round(change) for change in changes]
+    p, least = sign_flip_p(whole), least_sign_flip_p(sum(change != 0 for change in whole))
+    return PairedDifference(n, (sum(one), sum(other)), gained, lost, (gained - lost) / n, interval, p, least)
 
 
 def sign_flip_p(changes: Sequence[int]) -> float:
@@ -176,6 +179,11 @@ def sign_flip_p(changes: Sequence[int]) -> float:
         chances = 0.5 * (np.roll(chances, size) + np.roll(chances, -size))  # no sum gets past the ends
     sums = np.abs(np.arange(len(chances)) - sum(found))
     return min(1.0, float(chances[sums >= abs(sum(changes))].sum()))
+
+
+def least_sign_flip_p(number: int) -> float:
+    """Least p-value of `sign_flip_p` for a number of changes that are not zero: all of them have the same sign."""
+    return min(1.0, 2.0 * 0.5**number)
 
 
 def grouped_share_interval(

@@ -14,6 +14,7 @@ from kraft.evaluation.statistics import (
     fisher_p,
     grouped_share_interval,
     holm,
+    least_sign_flip_p,
     mcnemar,
     mean_difference_interval,
     mean_interval,
@@ -178,6 +179,8 @@ def test_the_p_of_groups_is_the_share_of_the_signs_with_a_sum_as_large() -> None
     assert sign_flip_p(changes) == sign_flip_p([-change for change in changes]) == pytest.approx(expected)
     assert sign_flip_p([]) == sign_flip_p([0, 0]) == 1.0
     assert sign_flip_p([30] * 6) == pytest.approx(2 / 2**6)
+    for number in range(8):
+        assert sign_flip_p([30] * number) == pytest.approx(least_sign_flip_p(number))
 
 
 def test_trials_of_a_group_count_as_alike() -> None:

@@ -48,8 +48,9 @@ def test_successes_differ_from_the_papers_where_a_test_of_both_samples_says_so(f
     found = read_results(folder)
     counts = {"kraft": 6, "oneshot-kinodynamic": 6, "conservative-kraft": 0}
     rows = tuple(replace(each, success=counts[each.method]) for each in found.summary.results)
-    table = results.differences(replace(found, summary=replace(found.summary, results=rows)))
-    shown = {tuple(cells[:2]): cells[2:] for cells in (line.strip("|").split("|") for line in table if "|" in line)}
+    (text,) = results.differences([replace(found, summary=replace(found.summary, results=rows))])
+    lines = [line.strip("|").split("|") for line in text.splitlines() if "|" in line]
+    shown = {tuple(cells[:2]): cells[2:] for cells in lines}
     verdicts = {key: cells[-1].strip() for key, cells in shown.items()}
     assert verdicts[" turns ", " Conservative KRAFT "] == "lower here"
     low, high = wilson(6, 6)
@@ -58,10 +59,31 @@ def test_successes_differ_from_the_papers_where_a_test_of_both_samples_says_so(f
     assert shown[" boxes ", " OneShot + Kinodynamic "][4].strip() == "0.068"
 
 
+def test_evaluations_of_the_same_suite_have_headings_of_their_own_and_one_adjustment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
+    halves, out = [["kraft"], ["conservative-kraft", "oneshot-kinodynamic"]], tmp_path / "results.md"
+    for k, methods in enumerate(halves):
+        evaluate(["turns", "boxes"], methods, 3, 0, 1, tmp_path / str(k), arguments={"scenarios": ["turns", "boxes"]})
+    assert results.main([str(tmp_path / "0"), str(tmp_path / "1"), "--out", str(out)]) == 0
+    text = out.read_text()
+    assert [line for line in text.splitlines() if line.startswith("## ")] == [
+        "## turns, boxes: kraft", "## turns, boxes: conservative-kraft, oneshot-kinodynamic",
+        results.PAPER_HEADING, "## What the paper claims",
+    ]  # fmt: skip
+    section = text.partition(results.PAPER_HEADING)[2].partition("## ")[0]
+    assert "rows of this table, 6." in " ".join(section.split())
+    rows = [tuple(line.split(" | ")[:2]) for line in section.splitlines() if line.startswith(("| turns", "| boxes"))]
+    titles = ("OneShot + Kinodynamic", "KRAFT", "Conservative KRAFT")
+    assert rows == [(f"| {entry}", title) for entry in ("turns", "boxes") for title in titles]
+
+
 def test_claims_are_tested_on_the_same_trials(folder: Path) -> None:
     found = read_results(folder)
     lines = results.claims(found)
-    assert [line.split(" | ")[0] for line in lines[4:6]] == ["| replanning", "| safety, with feedback"]
+    first = next(k for k, line in enumerate(lines) if line.startswith("| ---")) + 1
+    assert [line.split(" | ")[0] for line in lines[first:-1]] == ["| replanning", "| safety, with feedback"]
     pairs = [
         (found.rows[entry, "conservative-kraft", seed].outcome, found.rows[entry, "kraft", seed].outcome)
         for entry in ("turns", "boxes")
@@ -69,18 +91,21 @@ def test_claims_are_tested_on_the_same_trials(folder: Path) -> None:
     ]
     gained = sum(mine == "success" != theirs for mine, theirs in pairs)
     lost = sum(theirs == "success" != mine for mine, theirs in pairs)
-    assert f"{gained} / {lost}" in lines[5]
+    assert f"{gained} / {lost}" in lines[first + 1]
+    changes = [sum((a == "success") - (b == "success") for a, b in pairs[k : k + 6]) for k in (0, 6)]
+    least = {0: "1", 1: "1", 2: "0.5"}[sum(change != 0 for change in changes)]
+    assert lines[first + 1].endswith(f" | {least} |"), "the least that a test of as many entries can give"
 
 
 def test_of_each_method_only_trials_count_that_the_other_has_too(folder: Path) -> None:
     found = read_results(folder)
     rows = {key: row for key, row in found.rows.items() if key[1] != "kraft" or key[2] != 3 or key[0] != "turns"}
     lines = results.claims(replace(found, rows=rows))
-    assert lines[5].startswith("| safety, with feedback | Conservative KRAFT | KRAFT | ")
+    assert lines[-2].startswith("| safety, with feedback | Conservative KRAFT | KRAFT | ")
     both = [key[::2] for key in rows if key[1] == "kraft"]
     counts = [sum(rows[entry, name, seed].outcome == "success" for entry, seed in both)
               for name in ("conservative-kraft", "kraft")]  # fmt: skip
-    assert f" {counts[0]} : {counts[1]} of 11 " in lines[5]
+    assert f" {counts[0]} : {counts[1]} of 11 " in lines[-2]
 
 
 def test_the_value_beside_a_target_is_the_one_that_it_judges() -> None:
@@ -127,3 +152,10 @@ def test_of_a_large_suite_kinds_and_failing_entries_are_listed(tmp_path: Path, m
     assert set(listed) == {name for name in names if failures[name]}
     assert set(listed) != set(names)
     assert [failures[name] for name in listed] == sorted((failures[name] for name in listed), reverse=True)
+
+
+def test_no_two_sections_of_the_page_have_the_same_heading() -> None:
+    lines = (ROOT / "docs" / "results.md").read_text(encoding="utf-8").splitlines()
+    headings = [line for line in lines if line.startswith("#")]
+    assert len(headings) > 5
+    assert len(headings) == len(set(headings))
