@@ -93,9 +93,12 @@ def show_unsuccessful(terminal: Terminal, rows: Sequence[TrialRow], folder: Path
 
 
 def show_comparison(terminal: Terminal, comparison: Comparison) -> None:
-    """Print the tables of a comparison, and below them what was compared and what differs."""
-    from kraft.evaluation.comparison_table import MEANINGS, comparison_tables, remarks
+    """Print what is compared, the tables, and below them what differs."""
+    from kraft.evaluation.comparison_table import MEANINGS, comparison_tables, folders, remarks
 
+    for line in folders(comparison):
+        terminal.data(line)
+    terminal.data("")
     _show_all(terminal, comparison_tables(comparison), MEANINGS)
     terminal.data("")
     for line in remarks(comparison):

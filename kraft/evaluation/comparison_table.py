@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import count
 from typing import Any, Final
 
 from kraft.evaluation.comparison import Comparison, PairedRow
 from kraft.evaluation.journal import OUTCOMES
 from kraft.evaluation.manifest import Difference
+from kraft.evaluation.statistics import SIGNIFICANT, least_sign_flip_p
 from kraft.evaluation.table import Table
 from kraft.provenance import MISSING
 from kraft.text import counted, decimals, listed
@@ -34,10 +37,13 @@ MEANINGS: Final = {
     "pairs": "trials with the same seed in A and B",
     "gained": "pairs in which only B succeeded",
     "lost": "pairs in which only A succeeded",
-    "p": "exact McNemar test of the successes; of all entries the exact sign-flip test over entries",
+    "p": "exact McNemar test of the successes; in the table of all entries the exact sign-flip test over entries",
     "both": "pairs in which both succeeded",
     "dT s": "mean of the time in B minus that in A over these pairs",
-    "dT 95 % CI": "its interval, Student's, over pairs; of all entries over entries",
+    "dT 95 % CI": (
+        "its interval, Student's, over pairs, in the table of all entries over entries; - with fewer than three of "
+        "them, or if all differences are the same"
+    ),
     "same": "pairs whose drives are the same, bit by bit",
 }
 """What the columns hold whose heading does not say it."""
@@ -69,27 +75,43 @@ def _shown(comparison: Comparison) -> list[PairedRow]:
     return [row for row in rows if row.identical < row.pairs] if len(rows) > ROWS_MAX else list(rows)
 
 
+def folders(comparison: Comparison) -> Iterator[str]:
+    """Lines that say which folder is A and which is B, and what has not run yet in each."""
+    for label, folder, missing in zip("AB", comparison.folders, comparison.missing, strict=True):
+        yield f"{label}: {folder}" + (f", {counted(missing, 'trial')} not run yet" if missing else "")
+
+
 def remarks(comparison: Comparison) -> Iterator[str]:
-    """Lines about what was compared: the folders, what each lacks, and what differs in the manifests."""
+    """Lines about what was compared: of how much, what only one folder has, and what differs in the manifests."""
+    yield from _too_few(comparison)
     same = len(comparison.rows) - len(_shown(comparison))
     if same:
         have = "has" if same == 1 else "have"
         yield f"{counted(same, 'row')} whose drives are all the same {have} no line above; --json has all"
-    for label, folder, missing in zip("AB", comparison.folders, comparison.missing, strict=True):
-        yield f"{label}: {folder}" + (f", {counted(missing, 'trial')} not run yet" if missing else "")
     for label, alone in zip("AB", comparison.alone, strict=True):
         if alone:
             yield f"only in {label}: {listed((', '.join(each) for each in alone), DIFFERENCES_MAX)}"
     changed = list(dict.fromkeys(row.entry for row in comparison.rows if not row.same_scenario))
     if changed:
         names = listed(changed, DIFFERENCES_MAX)
-        yield f"*: the content of the scenario is not the same in A and B, trials are of different tasks: {names}"
+        yield f"*: the scenario is not the same in A and B, the lines with its name below have the keys: {names}"
     differences = comparison.differences
     yield from map(_difference, differences[:DIFFERENCES_MAX])
     if len(differences) > DIFFERENCES_MAX:
         yield f"and {counted(len(differences) - DIFFERENCES_MAX, 'further difference')}, which --json has"
     if not differences:
         yield "scenarios, methods, vehicles and versions are the same in A and B"
+
+
+def _too_few(comparison: Comparison) -> Iterator[str]:
+    """Lines about tests of so few pairs or entries that no outcome gives a p-value below `SIGNIFICANT`."""
+    least = next(number for number in count(1) if least_sign_flip_p(number) < SIGNIFICANT)
+    few = sum(row.pairs < least for row in comparison.rows)
+    if few:
+        yield f"p is not below {SIGNIFICANT:g} for any outcomes of fewer than {least} pairs: {counted(few, 'row')}"
+    entries = Counter(row.method for row in comparison.rows)
+    if any(entries[total.method] < least for total in comparison.totals):
+        yield f"p of all entries is not below {SIGNIFICANT:g} for any outcomes in fewer than {least} entries"
 
 
 def _table(title: str, rows: Sequence[PairedRow], left_out: set[str]) -> Table:

@@ -36,6 +36,8 @@ def test_a_pipe_gets_a_row_for_each_entry_and_method_and_the_differences(capsys:
     out, err = capsys.readouterr()
     assert err == ""
     lines = out.splitlines()
+    assert lines[:3] == ["A: a", "B: b", ""], "the tables use these letters"
+    lines = lines[3:]
     rows = [re.split(r"  +", line) for line in lines[1:5]]
     assert [row[:3] for row in rows] == [
         ["turns *", "KRAFT", "4"], ["turns *", "OneShot + OpenLoop", "4"],
@@ -43,7 +45,9 @@ def test_a_pipe_gets_a_row_for_each_entry_and_method_and_the_differences(capsys:
     ]  # fmt: skip
     assert [row[-1] for row in rows] == ["4/4"] * 4
     assert lines[6] == "all entries"
-    assert "A: a" in lines
+    assert "p is not below 0.05 for any outcomes of fewer than 6 pairs: 4 rows" in lines
+    assert "p of all entries is not below 0.05 for any outcomes in fewer than 6 entries" in lines
+    assert any(line.startswith("dT 95 % CI") and "- with fewer than three" in line for line in lines)
     assert "trials: 5 in A, 4 in B" in lines
     assert "scenarios.slip.content.sensing.noise_scale: 1.0 in A, 2.0 in B" in lines
 

@@ -14,7 +14,7 @@ from support.evaluation import StoppingObserver, refused
 from kraft.errors import Code, InputError
 from kraft.evaluation import compare, evaluate
 from kraft.evaluation.comparison import Comparison, PairedRow
-from kraft.evaluation.comparison_table import comparison_tables, remarks
+from kraft.evaluation.comparison_table import comparison_tables, folders, remarks
 from kraft.provenance import MISSING
 from kraft.trial.measures import Step
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
@@ -59,10 +59,10 @@ def test_of_many_rows_those_are_counted_whose_drives_are_all_the_same(
 ) -> None:
     monkeypatch.setattr("kraft.evaluation.comparison_table.ROWS_MAX", 1)
     assert [row[0] for row in comparison_tables(versions)[0].rows] == ["turns"]
-    assert next(remarks(versions)) == "1 row whose drives are all the same has no line above; --json has all"
+    assert list(remarks(versions))[1] == "1 row whose drives are all the same has no line above; --json has all"
     same = compare(tmp_path / "a", tmp_path / "a")
     assert [table.title for table in comparison_tables(same)] == ["all entries"]
-    assert next(remarks(same)).startswith("2 rows whose drives are all the same have")
+    assert list(remarks(same))[1].startswith("2 rows whose drives are all the same have")
 
 
 @pytest.mark.parametrize(
@@ -119,6 +119,18 @@ def test_all_entries_together_are_tested_over_entries(versions: Comparison) -> N
     assert [table.title for table in comparison_tables(versions)] == ["", "all entries"]
 
 
+def test_so_few_pairs_or_entries_that_no_outcome_differs_are_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    a = run(monkeypatch, tmp_path / "a", lambda spec: driven(spec, {"turns": ()}, {}), 6, scenarios=["turns"])
+    everything = {"turns": tuple(range(6))}
+    b = run(monkeypatch, tmp_path / "b", lambda spec: driven(spec, everything, {}), 6, scenarios=["turns"])
+    c = run(monkeypatch, tmp_path / "c", lambda spec: driven(spec, everything, {}), 5, scenarios=["turns"])
+    assert [row.p < 0.05 for other in (b, c) for row in compare(a, other).rows] == [True, False]
+    said = [[line for line in remarks(compare(a, other)) if line.startswith("p ")] for other in (b, c)]
+    assert said == [[], ["p is not below 0.05 for any outcomes of fewer than 6 pairs: 1 row"]]
+
+
 def test_an_entry_alone_has_no_total(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = run(monkeypatch, tmp_path / "a", first, scenarios=["turns"])
     found = compare(out, out)
@@ -150,9 +162,7 @@ def test_a_scenario_with_another_content_is_marked_and_said(tmp_path: Path, monk
     }
     assert comparison_tables(found)[0].rows[0][0] == "slip *"
     said = list(remarks(found))
-    assert said[-2] == (
-        "*: the content of the scenario is not the same in A and B, trials are of different tasks: slip"
-    )
+    assert said[-2] == ("*: the scenario is not the same in A and B, the lines with its name below have the keys: slip")
     assert said[-1] == "scenarios.slip.content.sensing.noise_scale: 1.0 in A, 2.0 in B"
 
 
@@ -187,7 +197,7 @@ def test_an_unfinished_evaluation_is_compared_as_far_as_it_is(tmp_path: Path, mo
     b = run(monkeypatch, tmp_path / "b", first, observer=StoppingObserver(7))
     found = compare(a, b)
     assert (found.rows[0].pairs, found.missing) == (7, (0, 13))
-    assert list(remarks(found))[1] == f"B: {b}, 13 trials not run yet"
+    assert list(folders(found))[1] == f"B: {b}, 13 trials not run yet"
 
 
 def test_failed_trials_count_as_not_successful_and_have_no_digest(
