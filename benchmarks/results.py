@@ -37,8 +37,14 @@ HEADING = """# Results
 Written by `python -m benchmarks.results` from results folders of `kraft eval`; every section has the command that
 repeats it. Cells have the number of successes and of collisions ("hit"); the other trials reached the time limit. In
 brackets is the mean time of the successful trials. Intervals are Wilson's, 95 %; those over all entries hold for other
-seeds of these entries, not for other worlds.
+seeds of these entries, not for other worlds. Mean times over all entries compare only methods that succeed in the same
+entries.
 """
+MEASURES = (
+    "All measures ([what the columns hold](eval.md#the-tables)). `delta` of a method with a fixed clearance "
+    "(Conservative KRAFT, Cons. Replanner + OpenLoop, Filtered KRAFT) only says how often that was enough; a measured "
+    "bound [promises](eval.md#what-was-promised) that it is."
+)
 PAPER_HEADING = "## Successes beside the paper's"
 CLAIMS_HEADING = """## What the paper claims
 
@@ -117,7 +123,7 @@ def section(found: Results, title: str) -> str:
     facts += [f"score: {label}" for label in dict.fromkeys(r.scoring.label for r in found.summary.results if r.scoring)]
     lines = [f"## {title}", "", f"    {command(found)}", "", "; ".join(facts) + ".", ""]
     if len(found.entries) <= MANY:
-        lines += [*method_table([found]), "", "All measures:", "", markdown(found.summary)]
+        lines += [*method_table([found]), "", *wrap(MEASURES, 120), "", markdown(found.summary)]
     lines += ["", *totals(found), *kinds(found), *failing(found), *claims(found), ""]
     return "\n".join(lines)
 

@@ -45,7 +45,7 @@ def show_tables(terminal: Terminal, summary: Summary) -> None:
     """Print a table for each entry, or one table for many; on a terminal with as many columns as fit."""
     from kraft.evaluation import labels, overview, tables
     from kraft.evaluation.summary import MANY
-    from kraft.evaluation.table import MEANINGS, totals
+    from kraft.evaluation.table import MEANINGS, TIME_OF_ALL, totals
 
     for label in labels(summary):
         terminal.data(f"score: {label}; 0.5 at best, 0 for collisions and timeouts")
@@ -54,7 +54,8 @@ def show_tables(terminal: Terminal, summary: Summary) -> None:
         terminal.data(REMARK_MANY)
         return
     together = totals(summary)
-    _show_all(terminal, [*tables(summary), *([together] if together else [])], MEANINGS)
+    meanings = MEANINGS | ({"T_ex s": MEANINGS["T_ex s"] + TIME_OF_ALL} if together else {})
+    _show_all(terminal, [*tables(summary), *([together] if together else [])], meanings)
 
 
 def show_unsuccessful(terminal: Terminal, rows: Sequence[TrialRow], folder: Path | None) -> None:

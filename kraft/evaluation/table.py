@@ -66,7 +66,7 @@ MEANINGS: Final = {
     "paper T_ex": "mean time in the paper",
     "p": "exact McNemar test against kraft on the same seeds",
     "cont": "cycles that began with a contingency",
-    "delta": "ticks at which the true car was as near to its prediction as the method claimed",
+    "delta": "ticks at which the true car was as near to its prediction as the clearance; no promise of a fixed one",
     "emerg": "contingencies that nothing verified",
     "regr": "plans that cost over 0.5 s more than what was left of the last one",
     "clear m": "smallest true distance to an obstacle",
@@ -75,6 +75,9 @@ MEANINGS: Final = {
     "cmd ms p50/p99": "time that the controller took for a command",
     "late": "commands that took longer than the time between two of them",
 }
+
+TIME_OF_ALL: Final = "; over all entries only methods that succeed in the same entries can be compared by it"
+"""What the meaning of ``T_ex s`` says besides below a table of all entries."""
 
 
 def tables(summary: Summary) -> list[Table]:

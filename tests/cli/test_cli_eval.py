@@ -18,7 +18,7 @@ from support.screen import Screen
 from kraft.config import bundled
 from kraft.evaluation import METHODS, evaluator
 from kraft.evaluation.suite import load_suite
-from kraft.evaluation.table import COLUMNS, MEANINGS
+from kraft.evaluation.table import COLUMNS, MEANINGS, TIME_OF_ALL
 from kraft_cli.main import main
 from kraft_cli.progress import Interrupts, Progress
 from kraft_cli.signals import Stopped
@@ -107,6 +107,11 @@ def test_a_pipe_gets_tables_on_stdout_and_a_line_for_each_trial_on_stderr(
     headings = {cell for line in out.splitlines() if line.startswith("method") for cell in re.split(r"  +", line)}
     explained = [re.split(r"  +", line)[0] for line in out[out.index("all entries") :].split("\n\n")[1].splitlines()]
     assert explained == [name for name in MEANINGS if name in headings]
+    assert f"{MEANINGS['T_ex s']}{TIME_OF_ALL}\n" in out
+    assert main(["eval", "turns", "--methods", "conservative-kraft", "--trials", "2", "--out", "one"]) == 0
+    alone = capsys.readouterr().out
+    assert f"{MEANINGS['T_ex s']}\n" in alone, "one entry has no table of all entries"
+    assert MEANINGS["delta"].endswith("no promise of a fixed one")
     assert {"cont", "emerg", "regr", "clear m"} <= set(explained)
     assert lines[0] == "8 trials; results in o"
     assert all(re.match(rf"{n}/8  \w+ [\w-]+ seed \d: (success|collision|timeout)", lines[n]) for n in range(1, 9))

@@ -158,4 +158,5 @@ def test_no_two_sections_of_the_page_have_the_same_heading() -> None:
     lines = (ROOT / "docs" / "results.md").read_text(encoding="utf-8").splitlines()
     headings = [line for line in lines if line.startswith("#")]
     assert len(headings) > 5
+    assert "\n".join(lines).startswith(results.HEADING)
     assert len(headings) == len(set(headings))
