@@ -345,6 +345,8 @@ class Replanner:
         predicted = self._predict(root, cycle_start, cycle_end, Commitment(reference))
         if self._one_shot:
             return Decision(reference, predicted, "", plan)
+        if predicted.slack < 0.0 and not self.dirt.safety.enabled:
+            return "the motion along the plan may touch an obstacle"
         if predicted.slack < 0.0:
             return f"the plan lacks {-predicted.slack:.3f} m of clearance"
         if not self.dirt.safety.enabled:

@@ -254,10 +254,9 @@ def measures_table(measures: Measures, contingencies: int) -> list[tuple[str, st
         until, half, most = quantiles[-1]
         rows.append(("deviation", f"{metres(half)} median, {metres(most)} at 99 %, {until:g} s after the commit"))
     if contingencies:
-        safe = contingencies - measures.in_hand - measures.emergencies
-        rows.append(
-            ("contingencies", f"{safe} safe, {measures.in_hand} in hand, {counted(measures.emergencies, 'emergency')}")
-        )
+        new = contingencies - measures.in_hand - measures.emergencies
+        emergencies = counted(measures.emergencies, "emergency")
+        rows.append(("contingencies", f"{new} verified at once, {measures.in_hand} earlier, {emergencies}"))
     if measures.compared:
         reasons = ", ".join(f"{count} {reason}" for reason, count in measures.regressions.items())
         total = sum(measures.regressions.values())

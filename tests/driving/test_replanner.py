@@ -133,6 +133,14 @@ def test_a_plan_that_is_unsafe_from_the_latest_estimate_is_not_committed() -> No
     assert cycles[1].contingency is cycles[1].reference
 
 
+def test_a_method_without_a_clearance_refuses_a_plan_for_a_collision_not_for_a_lack_of_clearance() -> None:
+    towards_the_wall = np.array([0.9, 0.0, 0.0, 0.0])
+    asked, unasked = (drive(subject, 2, towards_the_wall)[1] for subject in (replanner(safety=MARGIN), replanner()))
+    assert "may touch" not in asked.reason
+    assert unasked.kind is ReferenceKind.CONTINGENCY
+    assert unasked.reason == "from the latest estimate the motion along the plan may touch an obstacle"
+
+
 def test_a_plan_is_committed_without_clearance_if_none_is_asked_for() -> None:
     assert drive(replanner(), 2, np.array([0.02, 0.0, 0.0, 0.0]))[1].kind is ReferenceKind.PLAN
 
