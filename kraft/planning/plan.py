@@ -284,8 +284,8 @@ def _infeasible_start(dirt: DirtSolver, state: Floats, slack: float) -> str:
         return f"the start is beyond the limits of the vehicle: {beyond}"
     if slack < 0.0:
         return (
-            f"the start is too near to an obstacle: {_distance(dirt, state):.4f} m, less than the discs that cover the "
-            "footprint and the grid of clearances resolve"
+            f"the start is too near to an obstacle: the footprint is {1000.0 * _distance(dirt, state):.1f} mm from it, "
+            "and the planner, which covers the footprint with discs and knows clearances on a grid, needs some more"
         )
     _, beyond_delta = dirt.edge(state, np.zeros(len(dirt.vehicle.controls)), 0.0, 0.0)
     if beyond_delta < 0.0:
