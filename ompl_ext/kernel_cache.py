@@ -36,7 +36,7 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from ompl_ext.cache_error import CacheError
 from ompl_ext.processor import processor
-from ompl_ext.user_folders import below_home, may_write, temporary_root
+from ompl_ext.user_folders import below_home, is_of_another, may_write, temporary_root
 
 _config: Any = numba.config  # numba's stubs lack it
 _compiler_lock: Any = global_compiler_lock
@@ -144,12 +144,7 @@ def check_owner(folder: Path) -> None:
         CacheError: another user has made its folder, and could put code into it.
     """
     root = temporary_root()
-    if (
-        root is not None
-        and folder.is_relative_to(root)
-        and os.path.lexists(root)
-        and root.lstat().st_uid != os.getuid()
-    ):
+    if root is not None and folder.is_relative_to(root) and is_of_another(root):
         raise CacheError(root, "belongs to another user, whose code would be run", WRITABLE)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -138,20 +138,13 @@ def natural_robot(vehicle: Vehicle) -> tuple[RobotTruth, Source]:
 
     It is the one in the vehicle's file, else the MuSHR for a car, and else the vehicle's own model.
     """
-    if vehicle.file:
-        path = Path(vehicle.file)
-        changed = path.stat().st_mtime_ns if path.exists() else 0
-        if (stated := _stated_robot(path, changed)) is not None:
-            return stated
+    if vehicle.file and (stated := _stated_robot(Path(vehicle.file))) is not None:
+        return stated
     return RobotTruth(car=CarDimensions()) if is_car(vehicle) else RobotTruth(), Source(vehicle.file or vehicle.name)
 
 
-@lru_cache(8)  # every trial asks for it
-def _stated_robot(path: Path, changed: int) -> tuple[RobotTruth, Source] | None:
-    """True robot that a vehicle file states, with its source; None if it states none.
-
-    `changed` is when the file was changed (ns), because after that it may state another one.
-    """
+def _stated_robot(path: Path) -> tuple[RobotTruth, Source] | None:
+    """True robot that a vehicle file states, with its source; None if it states none."""
     config = load_vehicle_config(path)
     if config.truth is None:
         return None
