@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from numbers import Integral
-from typing import TypeVar
+from typing import Self, TypeVar
 
 Result = TypeVar("Result")
 
@@ -108,17 +108,21 @@ class InputError(KraftError):
         super().__init__(self.diagnostics)
 
     @classmethod
-    def of(cls, subject: str, problem: str, expected: str, code: Code = Code.VALUE) -> InputError:
+    def of(cls, subject: str, problem: str, expected: str, code: Code = Code.VALUE) -> Self:
         """Error with a single problem of ``subject``, a file or a name."""
         return cls([Diagnostic(subject, problem, expected, code=code)])
 
     @classmethod
-    def of_argument(cls, name: str, problem: str, expected: str, code: Code = Code.VALUE) -> InputError:
+    def of_argument(cls, name: str, problem: str, expected: str, code: Code = Code.VALUE) -> Self:
         """Error with a single problem of the argument ``name`` of a function."""
         return cls([Diagnostic(name, problem, expected, code=code, argument=True)])
 
     def __str__(self) -> str:
         return "\n".join(str(d) for d in self.diagnostics)
+
+
+class UserCodeError(InputError):
+    """The user's own code fails while it runs: of many trials, this may concern one."""
 
 
 class Problems:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal, get_args
+from collections.abc import Mapping
+from typing import Annotated, Final, Literal, TypeAlias, get_args
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
-from kraft.config.schema import NonNegative, Positive, StrictModel
+from kraft.config.schema import NonNegative, Number, Positive, StrictModel, Symbol, refuse
+from kraft.config.user_code import is_attribute, split_file
+from kraft.errors import Code
 from ompl_ext.query import Safety
 
 Seconds = Annotated[float, Field(gt=0, le=1000)]
@@ -19,6 +22,8 @@ LeadGain = Annotated[float, Field(ge=-1000, le=1000)]
 """Gain on a rate of change; a negative one makes the response slower."""
 Deviation = Annotated[float, Field(ge=1e-6, le=1e6)]
 """Standard deviation, or an error that weighs 1: squares of the ratio of two of them have to be numbers."""
+Setting: TypeAlias = bool | int | Number | str | tuple[Number, ...]
+"""Setting of a class of the user's own."""
 
 
 class OpenLoop(StrictModel):
@@ -178,8 +183,33 @@ class Nmpc(Predictive):
     """change of a control from step to step that weighs 1, as a share of its range"""
 
 
+class UserCode(StrictModel):
+    """A class of the user's own, which tracks plans or heads for the goal."""
+
+    kind: Literal["code"]
+    """which controller"""
+    rate_hz: Rate = 30.0
+    """commands per second"""
+    code: str
+    """the class, as in `pure_pursuit.py:PurePursuit`; a path is relative to the file"""
+    settings: Mapping[Symbol, Setting] = {}
+    """keyword arguments of the class, beside the vehicle's model"""
+    objective: Literal["goal", "plan"] = "plan"
+    """`plan` tracks the plan, `goal` heads for the goal by itself"""
+
+    @field_validator("code")
+    @classmethod
+    def _check_code(cls, value: str) -> str:
+        code = split_file(value)
+        if code is None and not is_attribute(value):
+            raise refuse(f"{value!r} is no class", "expected path/to/file.py:CLASS or module:CLASS")
+        if code is not None and not code[1]:
+            raise refuse(f"{value!r} names no class", f"expected {value}:CLASS", code=Code.MISSING)
+        return value
+
+
 ControllerSettings = Annotated[
-    OpenLoop | Geometric | Kinodynamic | Lqr | Mppi | Dwa | Nmpc, Field(discriminator="kind")
+    OpenLoop | Geometric | Kinodynamic | Lqr | Mppi | Dwa | Nmpc | UserCode, Field(discriminator="kind")
 ]
 
 PREDICTIVE: Final = tuple(get_args(model.model_fields["kind"].annotation)[0] for model in (Mppi, Dwa, Nmpc))

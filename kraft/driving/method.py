@@ -25,7 +25,16 @@ from kraft.config.schema import (
     refuse,
 )
 from kraft.config.source import Source
-from kraft.driving.control_settings import PREDICTIVE, RATE_MIN, ControllerSettings, Deviation, OpenLoop, Seconds
+from kraft.config.user_code import split_file
+from kraft.driving.control_settings import (  # fmt: skip
+    PREDICTIVE,
+    RATE_MIN,
+    ControllerSettings,
+    Deviation,
+    OpenLoop,
+    Seconds,
+    UserCode,
+)
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.vehicles import check_state
 from kraft.vehicles.load import problem_of
@@ -354,7 +363,8 @@ class Method(StrictModel):
         if _with_effect(planner).get("bound") is not None and kind not in ("adaptive", None):
             problem = f"needs the uncertainty of the estimate, which the estimator {kind} does not state"
             yield refuse(problem, "expected `estimator: {kind: adaptive}`", ("planner", "bound"), Code.CONFLICT)
-        heads_for_goal = controller.get("kind") in PREDICTIVE and controller.get("objective", "goal") == "goal"
+        objective = controller.get("objective", "goal" if controller.get("kind") in PREDICTIVE else "plan")
+        heads_for_goal = objective == "goal" and controller.get("kind") in (*PREDICTIVE, "code")
         if planner.get("type") == "geodesic" and not heads_for_goal:
             expected = "expected a controller that has `objective: goal`"
             yield refuse("is a path that no vehicle can track", expected, ("planner", "type"), Code.CONFLICT)
@@ -394,8 +404,26 @@ def load_method(name_or_path: str | Path) -> Method:
         InputError: with every problem of the file and of its base, or if there is no such name or file.
     """
     method, document = METHOD_FILES.read(bundled.find("method", name_or_path))
+    if isinstance(method.controller, UserCode):
+        method = method.model_copy(update={"controller": _with_place(method.controller, document.source)})
     method._source = document.source  # frozen fields stay as they are; this is where they came from
     return method
+
+
+def _with_place(controller: UserCode, source: Source) -> UserCode:
+    """Controller in code whose file is absolute; in a method file it is relative to that file.
+
+    Raises:
+        InputError: if there is no such file.
+    """
+    code = split_file(controller.code)
+    if code is None:
+        return controller
+    file = source.folder("controller.code") / code[0]
+    if not file.is_file():
+        problem, expected = f"there is no file {file}", "expected the path of a Python file"
+        raise InputError([source.diagnostic("controller.code", problem, expected, code=Code.NOT_FOUND)])
+    return controller.model_copy(update={"code": f"{file.resolve()}:{code[1]}"})
 
 
 RANGES_IN_CODE: Final = (

@@ -196,7 +196,7 @@ def _warnings(experiment: Experiment) -> Iterator[str]:
 
 def _ensure_compiled(experiment: Experiment, log: MessageSink) -> None:
     """Compile what the trials need once here, not by every worker during a trial."""
-    experiment.check_packages()
+    experiment.check_available()
     needs = []
     for reference in dict.fromkeys(cell.reference for cell in experiment.cells):
         cells = [cell for cell in experiment.cells if cell.reference == reference]

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from kraft.driving.control import check_packages
+from kraft.driving.control import check_available
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
 from kraft.evaluation.job import Job
@@ -88,14 +88,15 @@ class Experiment:
         """Seeds of the trials."""
         return range(self.seed, self.seed + self.trials)
 
-    def check_packages(self) -> None:
-        """Check that the packages of extras are installed that methods or cameras need, before anything is compiled.
+    def check_available(self) -> None:
+        """Check that what methods or cameras need is there, before anything is compiled: packages of extras, code.
 
         Raises:
-            MissingDependency: if one is missing.
+            MissingDependency: if a package is missing.
+            InputError: if a controller in code is wrong.
         """
         for cell in self.cells:
-            check_packages(cell.method)
+            check_available(cell.method)
             if cell.scenario.sensing.preset == "rendered":
                 from kraft.simulation.imager import opencv  # loads the simulator
 

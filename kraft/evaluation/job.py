@@ -10,7 +10,7 @@ from functools import cache
 from typing import Final, Protocol, TypeAlias
 
 from kraft.driving.method import Method
-from kraft.errors import InputError, MissingDependency, MissingError
+from kraft.errors import InputError, MissingDependency, MissingError, UserCodeError
 from kraft.evaluation.journal import Key, TrialRow, trial_row
 from kraft.evaluation.replay import replay_of
 from kraft.scenario import Scenario
@@ -43,6 +43,8 @@ class Job:
 def perform(job: Job) -> TrialRow:
     """Run a trial and reduce it to its row; any other exception than those below is recorded as a failed trial.
 
+    So is an error of a user's own controller.
+
     Raises:
         InputError: if the scenario, method or vehicle is refused, which concerns the other trials too.
         MissingError: if a part of the installation is missing.
@@ -53,6 +55,8 @@ def perform(job: Job) -> TrialRow:
         result = simulated_trial(spec)
         wall = time.perf_counter() - began
         return trial_row(job.key, result, wall, replay_of(spec, result))
+    except UserCodeError as error:
+        return failed_row(job, str(error), own_code=True)
     except (InputError, MissingError):
         raise
     except Exception as error:  # a defect: recorded, and the other trials go on
@@ -60,10 +64,13 @@ def perform(job: Job) -> TrialRow:
         return failed_row(job, f"{type(error).__name__}: {error} ({place.filename}:{place.lineno})")
 
 
-def failed_row(job: Job, error: str) -> TrialRow:
-    """Row of a failed trial."""
+def failed_row(job: Job, error: str, *, own_code: bool = False) -> TrialRow:
+    """Row of a failed trial; `own_code` is whether the user's own code failed."""
     entry, method, seed = job.key
-    return TrialRow(entry=entry, scenario=job.scenario.name, method=method, seed=seed, outcome="failed", error=error)
+    return TrialRow(
+        entry=entry, scenario=job.scenario.name, method=method, seed=seed, outcome="failed", error=error,
+        own_code=own_code,
+    )  # fmt: skip
 
 
 def simulated_trial(spec: TrialSpec) -> TrialResult:

@@ -58,6 +58,7 @@ class TrialRow(Record):
         iterations: planning iterations of all cycles.
         digest: hash over all ticks, equal for equal drives.
         error: why the trial failed, which means that it ended with a defect instead of an outcome.
+        own_code: whether the defect is one of the user's own code, and not of kraft.
         cause: cause of a collision or a timeout; None in rows of older evaluations.
         replay: replay on its way from the worker to the journal, which writes it into its own file.
     """
@@ -75,6 +76,7 @@ class TrialRow(Record):
     iterations: int = 0
     digest: str | None = None
     error: str | None = None
+    own_code: bool = False
     cause: Cause | None = None
     measures: Measures = Measures()
     measured: Measured = Measured()
@@ -84,6 +86,11 @@ class TrialRow(Record):
     def key(self) -> Key:
         """Entry, method and seed."""
         return self.entry or self.scenario, self.method, self.seed
+
+    @property
+    def is_defect(self) -> bool:
+        """Whether the trial failed because of a defect in kraft."""
+        return self.outcome == "failed" and not self.own_code
 
     @property
     def success_time(self) -> float | None:

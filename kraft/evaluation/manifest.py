@@ -10,6 +10,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+from kraft.driving.control.user_controller import code_content
+from kraft.driving.control_settings import UserCode
 from kraft.driving.method import Method
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation.experiment import Experiment
@@ -249,7 +251,10 @@ def _labels(names: Mapping[str, str]) -> dict[str, str]:
 
 
 def _method(method: Method) -> dict[str, Any]:
-    return method.model_dump(mode="json", exclude=set(TEXTS))
+    content = method.model_dump(mode="json", exclude=set(TEXTS))
+    if isinstance(method.controller, UserCode):
+        content["controller"] |= code_content(method.controller)
+    return content
 
 
 def _hashed(content: Any) -> dict[str, Any]:

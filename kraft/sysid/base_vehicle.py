@@ -13,6 +13,7 @@ import numpy as np
 
 from kraft.config import bundled
 from kraft.config.source import Source
+from kraft.config.user_code import is_code, split_file
 from kraft.sysid.dynamics import DiscreteModel
 from kraft.sysid.interface import Identification
 from kraft.sysid.log_motion import motions
@@ -28,7 +29,7 @@ from kraft.vehicles.load import (
     resolved_reference,
     units_of,
 )
-from kraft.vehicles.reference import is_code, resolve_vehicle, split_file
+from kraft.vehicles.reference import resolve_vehicle
 from kraft.vehicles.true_robot import with_files
 from ompl_ext.vehicle import Vehicle
 

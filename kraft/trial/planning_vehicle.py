@@ -7,13 +7,14 @@ from typing import Final
 
 from kraft.config import bundled
 from kraft.config.source import Source
+from kraft.config.user_code import is_attribute
 from kraft.driving.method import Method, check_vehicle
 from kraft.errors import InputError
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import Scenario
 from kraft.vehicles import is_car
 from kraft.vehicles.load import load_vehicle, natural_robot
-from kraft.vehicles.reference import VehicleProblem, is_attribute, resolve_vehicle
+from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 from kraft.vehicles.true_robot import CAR_SIZES, RobotTruth
 from ompl_ext.vehicle import Footprint, Vehicle
 

@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
-import hashlib
-import importlib
-import importlib.util
 import math
 import re
 import sys
-import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from types import CellType, FunctionType, ModuleType
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numba
 from numba import types
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
-import ompl_ext
 from kraft.config.document import Document
 from kraft.config.schema import Name, StrictModel, check
 from kraft.config.source import Source
+from kraft.config.user_code import import_error, imported, place_of
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import counted, suggestion
 from kraft.vehicles.config import Delay, Footprint
-from kraft.vehicles.reference import split_file
 from ompl_ext.interrupts import interrupts_between_passes
 from ompl_ext.kernels.specialise import are_steps_cached, is_cached
 from ompl_ext.vehicle import Vehicle
 
-_PLANNER = Path(ompl_ext.__file__).parent
+_EXPECTED: Final = "expected code that defines a Vehicle"
 
 
 def vehicle_of(reference: str, subject: str = "") -> Vehicle:
@@ -44,12 +38,7 @@ def vehicle_of(reference: str, subject: str = "") -> Vehicle:
         InputError: if the module cannot be imported, or the attribute is missing or not a vehicle.
     """
     subject = subject or reference
-    code = split_file(reference)
-    if code is None:
-        name, _, attribute = reference.partition(":")
-        return _attribute(_import(name, subject), attribute, subject)
-    file, attribute = code
-    module = _import_file(Path(file), subject)
+    module, attribute = imported(reference, subject, _EXPECTED)
     return _attribute(module, attribute, subject) if attribute else _only(module, subject)
 
 
@@ -96,61 +85,16 @@ def check_stated(vehicle: Vehicle, subject: str) -> None:
         raise InputError(replace(d, problem=f"{d.path} {d.problem}", path="", code=Code.CODE) for d in problems)
 
 
-def _import(name: str, subject: str) -> ModuleType:
-    """Import a module by name, also one of the working directory, which is searched last.
-
-    First, its files would take the place of installed packages, here and in all worker processes.
-    """
-    here = str(Path.cwd())
-    if here not in sys.path and "" not in sys.path:
-        sys.path.append(here)
-    try:
-        return importlib.import_module(name)
-    except (Exception, SystemExit) as error:  # a user's module may raise anything
-        raise _import_error(error, subject) from error
-
-
-def _import_file(file: Path, subject: str) -> ModuleType:
-    """Execute a file once as a module, named after its path, because compiled code is cached by module name."""
-    path = file.resolve()
-    name = f"kraft_vehicle_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
-    if name in sys.modules:
-        return sys.modules[name]
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None or not path.is_file():
-        raise InputError.of(subject, f"there is no file {file}", "expected the path of a Python file", Code.NOT_FOUND)
-    module = importlib.util.module_from_spec(spec)
-    if str(path.parent) not in sys.path:  # so that it can import modules of its folder, as a script can
-        sys.path.append(str(path.parent))
-    sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:  # a user's file may raise anything
-        del sys.modules[name]
-        raise _import_error(error, subject) from error
-    return module
-
-
-def _import_error(error: BaseException, subject: str) -> InputError:
-    """Error with the exception and its line in the user's code."""
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != __file__]
-    files = [f for f in frames if not f.filename.startswith("<") and "importlib" not in f.filename]
-    theirs = [f for f in files if not Path(f.filename).is_relative_to(_PLANNER)]
-    place = f" at {theirs[-1].filename}:{theirs[-1].lineno}" if theirs else ""
-    problem = f"does not import: {type(error).__name__}: {error}{place}"
-    return InputError.of(subject, problem, "expected code that defines a Vehicle", Code.CODE)
-
-
 def _attribute(module: ModuleType, attribute: str, subject: str) -> Vehicle:
     vehicles = _vehicles(module)
     try:
         value = getattr(module, attribute)
     except AttributeError:
         expected = suggestion(attribute, vehicles, none="expected the name of a Vehicle, and it defines none")
-        problem = f"there is no {attribute} in {_place(module)}"
+        problem = f"there is no {attribute} in {place_of(module)}"
         raise InputError.of(subject, problem, expected, Code.NOT_FOUND) from None
     except (Exception, SystemExit) as error:  # a user's __getattr__ may raise anything
-        raise _import_error(error, subject) from error
+        raise import_error(error, subject, _EXPECTED) from error
     if not isinstance(value, Vehicle):
         expected = suggestion(attribute, vehicles, none="expected an ompl_ext.vehicle.Vehicle")
         problem = f"{attribute} is of type {type(value).__name__}, not a Vehicle"
@@ -180,10 +124,6 @@ def _defined(module: ModuleType) -> dict[str, Vehicle]:
     imported = {id(value) for values in others for value in list(values) if isinstance(value, Vehicle)}
     own = {key: name for key, name in found.items() if key not in imported} or found
     return {name: getattr(module, name) for name in reversed(own.values())}
-
-
-def _place(module: ModuleType) -> str:
-    return str(module.__file__ or module.__name__)
 
 
 _LINE_MAX = 160

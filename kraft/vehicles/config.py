@@ -27,12 +27,12 @@ from kraft.config.schema import (
     valid,
 )
 from kraft.config.source import Source
+from kraft.config.user_code import is_code
 from kraft.config.yaml_reader import parse_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles import DELAY_MAX
 from kraft.vehicles.identification_record import IdentificationRecord, SpeedPrediction
-from kraft.vehicles.reference import is_code
 from kraft.vehicles.true_robot import RobotTruth, with_files
 from ompl_ext.names import FORCE
 from ompl_ext.vehicle import ParameterRange, Vehicle

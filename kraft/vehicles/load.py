@@ -16,6 +16,7 @@ from kraft.config import bundled
 from kraft.config.document import Document, frozen
 from kraft.config.schema import check, describe, is_number
 from kraft.config.source import Source
+from kraft.config.user_code import is_code, split_file
 from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
@@ -23,7 +24,7 @@ from kraft.vehicles import is_car
 from kraft.vehicles.code import StatedByCode, check_functions, check_stated, vehicle_in_code, vehicle_of
 from kraft.vehicles.config import SPEED_EXPECTED, Parameter, VehicleConfig, load_vehicle_config
 from kraft.vehicles.identification_record import SpeedPrediction
-from kraft.vehicles.reference import VehicleProblem, is_code, reference_of, resolve_vehicle, split_file
+from kraft.vehicles.reference import VehicleProblem, reference_of, resolve_vehicle
 from kraft.vehicles.true_robot import CarDimensions, RobotTruth, with_files
 from ompl_ext.vehicle import Footprint, OpenLoopErrors, Vehicle
 

@@ -6,15 +6,12 @@ Code is ``module:attribute``, ``path/to/file.py:attribute``, or ``path/to/file.p
 from __future__ import annotations
 
 import os
-import re
 from pathlib import Path
 
 from kraft.config import bundled
+from kraft.config.user_code import is_attribute, is_code, split_file
 from kraft.errors import Code
 from kraft.text import suggestion
-
-_ATTRIBUTE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*\Z")
-_FILE = re.compile(r"(?P<file>.+\.py)(:(?P<attribute>[A-Za-z_]\w*))?\Z", re.DOTALL)
 
 
 class VehicleProblem(ValueError):  # noqa: N818 - callers that know the place convert it to an InputError
@@ -25,22 +22,6 @@ class VehicleProblem(ValueError):  # noqa: N818 - callers that know the place co
         self.problem = problem
         self.expected = expected
         self.code = code
-
-
-def is_attribute(text: str) -> bool:
-    """Whether ``text`` has the form ``module:attribute``, as in ``my_robots.car:CAR``."""
-    return _ATTRIBUTE.match(text) is not None
-
-
-def split_file(text: str) -> tuple[str, str] | None:
-    """File and attribute of ``path/to/file.py:attribute`` (the attribute may be left out), else None."""
-    found = _FILE.match(text)
-    return (found["file"], found["attribute"] or "") if found else None
-
-
-def is_code(text: str) -> bool:
-    """Whether ``text`` has the form of a reference to code."""
-    return is_attribute(text) or split_file(text) is not None
 
 
 def reference_of(vehicle: str | Path) -> str:

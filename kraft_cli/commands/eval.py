@@ -136,6 +136,9 @@ def _print_results(terminal: Terminal, evaluation: Evaluation, json: bool) -> Ex
     failed = [row for row in evaluation.rows if row.outcome == "failed"]
     for row in failed:
         terminal.problem(f"{row.key[0]}, {row.method}, seed {row.seed}: failed: {row.error}")
-    if failed:
-        terminal.error(f"{len(failed)} of {counted(len(evaluation.rows), 'trial')} failed, which is a defect in kraft")
-    return ExitStatus.INTERNAL if failed else ExitStatus.DONE
+    if not failed:
+        return ExitStatus.DONE
+    defects = any(row.is_defect for row in failed)
+    why = "which is a defect in kraft" if defects else "because of an error in the controller's own code"
+    terminal.error(f"{len(failed)} of {counted(len(evaluation.rows), 'trial')} failed, {why}")
+    return ExitStatus.INTERNAL if defects else ExitStatus.INVALID

@@ -82,7 +82,7 @@ def run_scenario(
     assert experiment is not None, "every problem was raised"
     cell = experiment.cells[0]
     _log_details(detail, cell)
-    experiment.check_packages()
+    experiment.check_available()
     timer.report("loaded and checked")
     steps, heading = needs_steps(cell.method, cell.vehicle), cell.scenario.goal.heading is not None
     ensure_compiled(

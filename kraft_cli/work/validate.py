@@ -12,7 +12,9 @@ from kraft.config import bundled
 from kraft.config.document import Document
 from kraft.config.schema import check, valid
 from kraft.config.source import Source
+from kraft.config.user_code import is_code
 from kraft.config.yaml_reader import read_document
+from kraft.driving.control import check_code
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, MissingError, Problems, Unreachable
 from kraft.evaluation.suite import SuiteFile, load_suite
@@ -32,7 +34,6 @@ from kraft.text import MessageSink, nearest
 from kraft.trial.planning_vehicle import check_own_robot, check_robot, other_robot, own_robot
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import configured, load_vehicle, read_vehicle_file
-from kraft.vehicles.reference import is_code
 from kraft.vehicles.true_robot import CarDimensions
 from ompl_ext.cache_error import CacheError
 from ompl_ext.vehicle import Vehicle
@@ -207,7 +208,7 @@ def _check_car(document: Document) -> None:
 
 
 def _check_method(document: Document, path: Path) -> None:
-    """Check a method file, and the vehicle that it or its base names also if another key is wrong."""
+    """Check a method file and its code, and the vehicle that it or its base names also if another key is wrong."""
     problems = Problems()
     method = problems.of(lambda: load_method(path))
     planner = document.data.get("planner") if isinstance(document.data, dict) else None
@@ -216,6 +217,7 @@ def _check_method(document: Document, path: Path) -> None:
     if method is not None:
         named, source = method.planner.vehicle, method.source
     vehicle = problems.of(lambda: _planning_vehicle(named, source)) if isinstance(named, str) else None
+    problems.of(lambda: None if method is None else check_code(method))
     problems.check()
     if method is not None and vehicle is not None:
         check_vehicle(method, vehicle, own=True)

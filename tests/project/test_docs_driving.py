@@ -13,7 +13,17 @@ from support.paths import ROOT
 
 from kraft.config import bundled
 from kraft.driving.bound import LATER_DELAY, LATER_DELTA, LATER_GROWTH
-from kraft.driving.control_settings import Dwa, Geometric, Kinodynamic, Lqr, Mppi, Nmpc, Predictive, RolloutCost
+from kraft.driving.control_settings import (
+    Dwa,
+    Geometric,
+    Kinodynamic,
+    Lqr,
+    Mppi,
+    Nmpc,
+    Predictive,
+    RolloutCost,
+    UserCode,
+)
 from kraft.driving.estimation.adaptive import PASSING_FORCE, PASSING_TIME, SLOW
 from kraft.driving.estimation.correlated_filter import MOVED_AFTER
 from kraft.driving.estimation.drive_history import DRIVE_MAX, SEEN, SEEN_DEVIATIONS, SEEN_WAY
@@ -65,6 +75,7 @@ TABLES = {
     Mppi: "`mppi`, model predictive",
     Dwa: "`dwa`, the dynamic window",
     Nmpc: "\n## nmpc\n",
+    UserCode: "The settings of such a controller:",
 }
 """Text before the table of each model's settings."""
 

@@ -42,16 +42,22 @@ def test_an_example_runs(
     assert EXAMPLES[example] in output_of(ROOT / "examples" / example, *arguments)
 
 
-def test_an_example_that_evaluates_runs_in_a_process_of_its_own_with_a_worker(tmp_path: Path) -> None:
-    text = (ROOT / "examples" / "03_compare.py").read_text(encoding="utf-8")
-    assert text.count("trials=3") == 1
-    (tmp_path / "compare.py").write_text(text.replace("trials=3", "trials=1, jobs=1"))
+@pytest.mark.parametrize(
+    ("example", "trials", "printed"),
+    [("03_compare.py", 3, "| KRAFT |"), ("09_controller.py", 2, "pure-pursuit: 1 of 1 in ")],
+)
+def test_an_example_that_evaluates_runs_in_a_process_of_its_own_with_a_worker(
+    example: str, trials: int, printed: str, tmp_path: Path
+) -> None:
+    text = (ROOT / "examples" / example).read_text(encoding="utf-8")
+    assert text.count(f"trials={trials}") == 1
+    (tmp_path / "compare.py").write_text(text.replace(f"trials={trials}", "trials=1, jobs=1"))
     done = subprocess.run([sys.executable, "compare.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert "| KRAFT |" in done.stdout
+    assert printed in done.stdout
 
 
-@pytest.mark.parametrize("example", ["03_compare.py", "08_equal_terms.py"])
+@pytest.mark.parametrize("example", ["03_compare.py", "08_equal_terms.py", "09_controller.py"])
 def test_a_worker_process_that_imports_an_example_evaluates_nothing(example: str) -> None:
     imported_by_a_worker(ROOT / "examples" / example)
 
@@ -75,5 +81,10 @@ def test_a_bag_that_does_not_exist_is_one_line() -> None:
 
 def test_every_numbered_example_is_run() -> None:
     numbered = {path.name for path in (ROOT / "examples").glob("[0-9]*.py")}
-    others = {"03_compare.py", "05_vehicle.py", "07_bundled_vehicles.py"}  # the last: test_example_identify.py
+    others = {
+        "03_compare.py",
+        "05_vehicle.py",
+        "07_bundled_vehicles.py",
+        "09_controller.py",
+    }  # the last: test_example_identify.py
     assert numbered == {*EXAMPLES, *others}

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 from kraft.driving.car_model import CarModel
 from kraft.driving.control.lqr import LqrController, check_controllable
 from kraft.driving.control.nmpc import NmpcController
 from kraft.driving.control.nmpc_problem import casadi_of
 from kraft.driving.control.path_tracking import GeometricController, KinodynamicController
 from kraft.driving.control.sampling import DwaController, MppiController
+from kraft.driving.control.user_controller import UserController, check_arguments, uses_map
 from kraft.driving.control_settings import (  # fmt: skip
     ControllerSettings,
     Dwa,
@@ -18,6 +22,7 @@ from kraft.driving.control_settings import (  # fmt: skip
     Nmpc,
     OpenLoop,
     Predictive,
+    UserCode,
 )
 from kraft.driving.messages import Controller, Estimate, Reference, ReferenceKind
 from kraft.driving.method import Adaptive, Method
@@ -37,6 +42,7 @@ __all__ = [
     "MppiController",
     "NmpcController",
     "OpenLoopController",
+    "UserController",
     "compiled_law",
     "kernel_modules",
     "make_controller",
@@ -49,6 +55,9 @@ __all__ = [
 ]
 
 
+Result = TypeVar("Result")
+
+
 def settings_for(settings: ControllerSettings, vehicle: Vehicle) -> ControllerSettings:
     """Settings of the controller that drives a vehicle: a law for cars gives way to the LQR if the vehicle is none."""
     if isinstance(settings, Geometric | Kinodynamic) and not is_car(vehicle):
@@ -58,14 +67,22 @@ def settings_for(settings: ControllerSettings, vehicle: Vehicle) -> ControllerSe
 
 def needs_steps(method: Method, vehicle: Vehicle) -> bool:
     """Whether a method identifies or regulates a vehicle by its model, which takes the compiled steps of the model."""
-    law = contingency_law(method.controller) if needs_map(method) else method.controller
-    simulates = isinstance(method.controller, Nmpc) or isinstance(settings_for(law, vehicle), Lqr)
+    own = method.controller
+    law = contingency_law(own) if isinstance(own, Predictive | UserCode) else own
+    simulates = isinstance(own, Nmpc) or isinstance(settings_for(law, vehicle), Lqr)
     return simulates or isinstance(method.estimator, Adaptive)
 
 
 def needs_map(method: Method) -> bool:
-    """Whether the controller of a method predicts the vehicle in the map."""
-    return isinstance(method.controller, Predictive)
+    """Whether the controller of a method needs the map.
+
+    Raises:
+        InputError: if it is code that cannot be imported, at the line of the method that names it.
+    """
+    controller = method.controller
+    if isinstance(controller, UserCode):
+        return controller.objective == "goal" or _at_its_line(method, lambda: uses_map(controller))
+    return isinstance(controller, Predictive)
 
 
 def needs_poses(method: Method) -> bool:
@@ -79,14 +96,38 @@ def kernel_modules(method: Method) -> tuple[str, ...]:
     return (*found, *(["sst"] if method.planner.type == "sst" else []))
 
 
-def check_packages(method: Method) -> None:
-    """Check that the packages are installed that only the controller of this method needs.
+def check_available(method: Method) -> None:
+    """Check that what only the controller of this method needs is there: a package, or code.
 
     Raises:
-        MissingDependency: if one is missing.
+        MissingDependency: if a package is missing.
+        InputError: see `check_code`.
     """
     if isinstance(method.controller, Nmpc):
         casadi_of()
+    check_code(method)
+
+
+def check_code(method: Method) -> None:
+    """Check the code of the user's own controller, if the method has one.
+
+    Raises:
+        InputError: if it cannot be imported or does not take its settings, at the line of the method that names it.
+    """
+    controller = method.controller
+    if isinstance(controller, UserCode):
+        _at_its_line(method, lambda: check_arguments(controller))
+
+
+def _at_its_line(method: Method, call: Callable[[], Result]) -> Result:
+    """Result of a call, whose errors are about the code that the method names."""
+    try:
+        return call()
+    except InputError as error:
+        at = method.source.diagnostic
+        raise InputError(
+            at("controller.code", d.problem, d.expected, code=d.code) for d in error.diagnostics
+        ) from error
 
 
 def contingency_law(settings: ControllerSettings) -> Kinodynamic:
@@ -106,10 +147,12 @@ def make_controller(
         seed: of the samples of a controller that draws some.
 
     Raises:
-        InputError: if feedback from the linearised model cannot control the vehicle, or a controller needs a map and
-            there is none.
+        InputError: if feedback from the linearised model cannot control the vehicle, a controller needs a map and
+            there is none, or the user's own code is wrong.
     """
     chosen = settings_for(settings, model.vehicle)
+    if isinstance(chosen, UserCode):
+        return UserController(chosen, model, make_controller(contingency_law(chosen), model), dirt, seed)
     if isinstance(chosen, Predictive):
         if dirt is None:
             problem = f"is {chosen.kind!r}, which needs the map"
@@ -136,14 +179,14 @@ def make_controller(
 
 def set_map(controller: Controller, dirt: DirtSolver) -> None:
     """Let a controller that predicts the vehicle in the map use the one of another solver; the others know none."""
-    if isinstance(controller, MppiController | DwaController | NmpcController):
+    if isinstance(controller, MppiController | DwaController | NmpcController | UserController):
         controller.set_map(dirt)
 
 
 def tracking_law(controller: Controller, reference: Reference) -> Controller:
-    """What tracks a reference for a controller: itself, or the law that a predictive one has for contingencies."""
+    """What tracks a reference for a controller: itself, or the law that some have for contingencies."""
     if reference.kind is ReferenceKind.CONTINGENCY and isinstance(
-        controller, MppiController | DwaController | NmpcController
+        controller, MppiController | DwaController | NmpcController | UserController
     ):
         return controller.law
     return controller

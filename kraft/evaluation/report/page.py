@@ -87,7 +87,9 @@ def _head(results: Results) -> Iterator[Content]:
         yield element("p", text, class_="alarm")
     failed = results.summary.failed
     if failed:
-        text = f"{counted(failed, 'trial')} failed, which is a defect in kraft: none counts as a success."
+        defects = any(row.is_defect for row in results.rows.values())
+        why = "which is a defect in kraft" if defects else "because of an error in the controller's own code"
+        text = f"{counted(failed, 'trial')} failed, {why}: none counts as a success."
         yield element("p", text, class_="alarm")
     for text in results.manifest.warnings:
         yield element("p", element("b", "Warning: "), text, class_="alarm warning")
