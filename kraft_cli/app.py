@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Annotated, Any, Final
 
 import typer
-from typer.core import TyperCommand
 
 from kraft import __version__
+from kraft_cli.command import Command
 from kraft_cli.commands.compare import compare
 from kraft_cli.commands.doctor import doctor
 from kraft_cli.commands.drive import drive, world
@@ -60,18 +60,6 @@ def common(
         raise typer.Exit(ExitStatus.INVALID)
 
 
-class _Command(TyperCommand):
-    """Command that is named by all its errors of usage, also by those that the parser raises without their context."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        try:
-            return super().parse_args(ctx, args)
-        except typer.TyperException as error:
-            if getattr(error, "ctx", ctx) is None:
-                vars(error)["ctx"] = ctx
-            raise
-
-
 _COMMANDS: Final[dict[str, Callable[..., Any]]] = {
     "plan": plan,
     "run": run,
@@ -89,4 +77,4 @@ _COMMANDS: Final[dict[str, Callable[..., Any]]] = {
     "doctor": doctor,
 }
 for _name, _function in _COMMANDS.items():
-    app.command(_name, cls=_Command)(_function)
+    app.command(_name, cls=Command)(_function)

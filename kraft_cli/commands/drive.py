@@ -25,9 +25,7 @@ Method = Annotated[
 ]
 PlannerSeed = Annotated[int, typer.Option(metavar="N", help="Seed of the planner; the drive depends on the clock too.")]
 WorldSeed = Annotated[int, typer.Option(metavar="N", help="Seed of the camera's errors and of the motion's noise.")]
-SimulatedVehicle = Annotated[
-    str | None, vehicle_option("Vehicle whose true robot is simulated, instead of the scenario's.")
-]
+SimulatedVehicle = Annotated[str | None, vehicle_option("Vehicle whose true robot is simulated.", "the scenario's")]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write the drive into a new folder, as it is driven.")]
 Bag = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the drive as ROS 2 messages: FILE.mcap.")]
 Speed = Annotated[float, typer.Option(metavar="X", help="Seconds of the simulation in a second of the clock.")]

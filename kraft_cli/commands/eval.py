@@ -9,7 +9,7 @@ import typer
 
 from kraft.elapsed import loading
 from kraft_cli import completion
-from kraft_cli.commands.options import Json, PlanningModel
+from kraft_cli.commands.options import Json, PlanningModel, defaulting
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 Scenarios = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="[SCENARIO]...", help="Names or files; the six of the suite paper.", autocompletion=completion.scenarios
+        metavar="SCENARIO",
+        help=defaulting("Bundled names or paths of files.", "those of the suite paper"),
+        autocompletion=completion.scenarios,
     ),
 ]
 Suite = Annotated[
@@ -36,22 +38,29 @@ Set = Annotated[
 Vary = Annotated[
     list[str] | None, typer.Option(metavar="KEY=V1,V2", help="Run the scenarios once with each value of a key.")
 ]
-Trials = Annotated[int | None, typer.Option(metavar="N", help="Trials of each method in each scenario (30).")]
+Trials = Annotated[
+    int | None, typer.Option(metavar="N", help=defaulting("Trials of each method in each scenario.", "30"))
+]
 Methods = Annotated[
     str | None,
     typer.Option(
         metavar="A,B",
-        help="Methods (kraft list methods); the paper's seven.",
+        help=defaulting("Methods (kraft list methods).", "the paper's seven"),
         autocompletion=completion.comma_separated(completion.methods),
     ),
 ]
-Seed = Annotated[int | None, typer.Option(metavar="N", help="Trial i has the seed N + i; N is 0.")]
-Jobs = Annotated[int | None, typer.Option(metavar="N", help="Worker processes; one for each core.")]
+Seed = Annotated[int | None, typer.Option(metavar="N", help=defaulting("Trial i has the seed N + i.", "0"))]
+Jobs = Annotated[int | None, typer.Option(metavar="N", help=defaulting("Worker processes.", "one for each core"))]
 ClusterAddress = Annotated[
     str | None, typer.Option("--cluster", metavar="ADDRESS", help="Run on the workers of a Dask scheduler.")
 ]
-Out = Annotated[Path | None, typer.Option(metavar="DIR", help="New results folder; results/eval-TIME-seedN.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Resume that of --out, also with more trials or methods.")]
+Out = Annotated[
+    Path | None, typer.Option(metavar="DIR", help=defaulting("New results folder.", "results/eval-TIME-seedN"))
+]
+Resume = Annotated[
+    bool,
+    typer.Option("--resume", help="Resume the evaluation in the folder of --out, also with more trials or methods."),
+]
 Realtime = Annotated[
     bool, typer.Option("--realtime", help="Limit planning by wall-clock time and count missed deadlines.")
 ]

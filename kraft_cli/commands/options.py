@@ -10,9 +10,15 @@ from kraft_cli import completion
 from kraft_cli.terminal import Terminal
 
 
-def vehicle_option(meaning: str) -> Any:
-    """Option that names a vehicle; `meaning` is what for."""
-    return typer.Option("--vehicle", metavar="NAME|FILE", help=meaning, autocompletion=completion.vehicles)
+def defaulting(meaning: str, default: str) -> str:
+    """Help of an option whose default depends on something, written as typer writes the defaults that do not."""
+    return f"{meaning}  [default: {default}]"
+
+
+def vehicle_option(meaning: str, default: str) -> Any:
+    """Option that names a vehicle; `meaning` is what for, `default` the one without the option."""
+    text = defaulting(meaning, default)
+    return typer.Option("--vehicle", metavar="NAME|FILE", help=text, autocompletion=completion.vehicles)
 
 
 ScenarioName = Annotated[
@@ -21,7 +27,7 @@ ScenarioName = Annotated[
         metavar="SCENARIO", help="A bundled name or the path of a file.", autocompletion=completion.scenarios
     ),
 ]
-PlanningModel = Annotated[str | None, vehicle_option("Model to plan with, instead of the method's and the scenario's.")]
+PlanningModel = Annotated[str | None, vehicle_option("Model to plan with.", "the method's, else the scenario's")]
 Set = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace the value of a key of the scenario.")
 ]

@@ -8,17 +8,30 @@ from typing import Annotated
 import typer
 
 from kraft_cli import completion
-from kraft_cli.commands.options import Json, ScenarioName, Set, vehicle_option
+from kraft_cli.commands.options import Json, ScenarioName, Set, defaulting, vehicle_option
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
-Iterations = Annotated[int | None, typer.Option(metavar="N", help="Plan for N iterations: the same plan on every run.")]
-Time = Annotated[float | None, typer.Option(metavar="S", help="Plan for S seconds of wall-clock time.")]
+Iterations = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N", help=defaulting("Plan for N iterations: the same plan on every run.", "the scenario's budget")
+    ),
+]
+Time = Annotated[
+    float | None,
+    typer.Option(metavar="S", help=defaulting("Plan for S seconds of wall-clock time.", "the scenario's budget")),
+]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the random generator.")]
 Planner = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Planner (kraft list planners).", autocompletion=completion.planners)
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help=defaulting("Planner (kraft list planners).", "the scenario's"),
+        autocompletion=completion.planners,
+    ),
 ]
-VehicleName = Annotated[str | None, vehicle_option("Vehicle: a name, a YAML file, or code.")]
+VehicleName = Annotated[str | None, vehicle_option("Vehicle: a name, a YAML file, or code.", "the scenario's")]
 Parameters = Annotated[
     list[str] | None, typer.Option("--param", metavar="K=V", help="Replace a parameter of the vehicle.")
 ]

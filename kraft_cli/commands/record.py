@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kraft_cli import completion
-from kraft_cli.commands.options import Json, vehicle_option
+from kraft_cli.commands.options import Json, defaulting, vehicle_option
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.signals import handled, status_of
 from kraft_cli.terminal import Terminal
@@ -19,12 +19,16 @@ if TYPE_CHECKING:
 Scenario = Annotated[
     str | None,
     typer.Argument(
-        metavar="[SCENARIO]", help="A bundled name or the path of a file.", autocompletion=completion.scenarios
+        metavar="SCENARIO",
+        help=defaulting("A bundled name or the path of a file.", "training"),
+        autocompletion=completion.scenarios,
     ),
 ]
 Out = Annotated[Path, typer.Option(metavar="LOGS", help="New folder for the logs.")]
-VehicleName = Annotated[str | None, vehicle_option("Vehicle to drive, instead of the scenario's.")]
-Runs = Annotated[int | None, typer.Option(metavar="N", help="Number of runs, 20 s each: by default 10, with --for 3.")]
+VehicleName = Annotated[str | None, vehicle_option("Vehicle to drive.", "the scenario's")]
+Runs = Annotated[
+    int | None, typer.Option(metavar="N", help=defaulting("Number of runs, 20 s each.", "10; with --for 3"))
+]
 For = Annotated[
     str | None,
     typer.Option(
@@ -38,7 +42,7 @@ Commands = Annotated[
     list[Path] | None,
     typer.Option(metavar="FILE|FOLDER", help="Drive these commands: files, or a folder of kraft sysid --commands."),
 ]
-Seed = Annotated[int | None, typer.Option(metavar="N", help="Seed: the same one gives the same logs; 0.")]
+Seed = Annotated[int | None, typer.Option(metavar="N", help=defaulting("Seed: the same one gives the same logs.", "0"))]
 Bag = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Write the runs as ROS 2 messages too: FILE_01.mcap and so on.")
 ]

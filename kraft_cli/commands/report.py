@@ -7,12 +7,15 @@ from typing import Annotated
 
 import typer
 
+from kraft_cli.commands.options import defaulting
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.signals import status_of
 from kraft_cli.terminal import Terminal
 
 Folder = Annotated[Path, typer.Argument(metavar="RESULTS", help="Results folder of kraft eval.")]
-Out = Annotated[Path | None, typer.Option(metavar="FILE", help="The page to write; report.html in the folder.")]
+Out = Annotated[
+    Path | None, typer.Option(metavar="FILE", help=defaulting("The page to write.", "report.html in the folder"))
+]
 Serve = Annotated[
     bool, typer.Option("--serve", help="Show the page to this machine's browser instead, with every replay.")
 ]

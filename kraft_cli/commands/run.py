@@ -10,7 +10,7 @@ import typer
 
 from kraft.elapsed import loading
 from kraft_cli import completion
-from kraft_cli.commands.options import Json, PlanningModel, ScenarioName, Set
+from kraft_cli.commands.options import Json, PlanningModel, ScenarioName, Set, defaulting
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
@@ -21,7 +21,7 @@ Method = Annotated[
     str | None,
     typer.Option(
         metavar="NAME|FILE",
-        help="Method (kraft list methods): kraft, with --realtime adaptive-kraft, by default.",
+        help=defaulting("Method (kraft list methods).", "kraft; with --realtime adaptive-kraft"),
         autocompletion=completion.methods,
     ),
 ]

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kraft_cli import completion
-from kraft_cli.commands.options import Json
+from kraft_cli.commands.options import Json, defaulting
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
 if TYPE_CHECKING:
     from kraft_cli.work.sysid import SysidResult
 
-Logs = Annotated[list[Path], typer.Argument(metavar="LOGS...", help="Folders and files with logs.")]
+Logs = Annotated[list[Path], typer.Argument(metavar="LOGS", help="Folders and files with logs.")]
 Model = Annotated[
     str,
     typer.Option(
@@ -28,7 +28,8 @@ Model = Annotated[
 Holdout = Annotated[
     float | None,
     typer.Option(
-        metavar="FRACTION", help="Share of the logs to hold out for testing; by default a quarter of four or more."
+        metavar="FRACTION",
+        help=defaulting("Share of the logs to hold out for testing.", "0.25 of four logs or more, else 0"),
     ),
 ]
 Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Write a vehicle file: FILE.yaml.")]
@@ -47,7 +48,9 @@ AuxiliarySelection = Annotated[
 ]
 PoseNoise = Annotated[
     str | None,
-    typer.Option("--pose-noise", metavar="M,RAD", help="Standard deviations of position and yaw; by default measured."),
+    typer.Option(
+        "--pose-noise", metavar="M,RAD", help=defaulting("Standard deviations of position and yaw.", "measured")
+    ),
 ]
 Graph = Annotated[
     str, typer.Option(metavar="fast|paper", help="Form of the graph: eliminated, or every factor explicit.")
@@ -55,7 +58,7 @@ Graph = Annotated[
 Horizon = Annotated[float, typer.Option(metavar="S", help="Time over which the chosen model is to predict well.")]
 Next = Annotated[int | None, typer.Option("--next", metavar="N", help="Recommend the next N drives, which show most.")]
 Area = Annotated[
-    str | None, typer.Option(metavar="L,W", help="Free area for the next drives, m; by default that of the logs.")
+    str | None, typer.Option(metavar="L,W", help=defaulting("Free area for the next drives, m.", "that of the logs"))
 ]
 Commands = Annotated[
     Path | None, typer.Option(metavar="FOLDER", help="New folder for the commands of the next drives.")

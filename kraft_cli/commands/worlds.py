@@ -9,22 +9,27 @@ import typer
 
 from kraft.text import counted
 from kraft_cli import completion
-from kraft_cli.commands.options import Json, vehicle_option
+from kraft_cli.commands.options import Json, defaulting, vehicle_option
 from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
 if TYPE_CHECKING:  # so that `kraft --help` does not load what only these commands need
     from kraft.worlds.world import Written
 
-Sources = Annotated[list[Path], typer.Argument(metavar="SOURCE...", help="Files; for barn also folders of them.")]
+Sources = Annotated[list[Path], typer.Argument(metavar="SOURCE", help="Files; for barn also folders of them.")]
 Start = Annotated[
     str | None,
-    typer.Option(metavar="X,Y,HEADING", help="Start in m and degrees: required for a map, else the source's."),
+    typer.Option(metavar="X,Y,HEADING", help=defaulting("Start in m and degrees; a map needs it.", "the source's")),
 ]
 Goal = Annotated[
-    str | None, typer.Option(metavar="X,Y[,RADIUS]", help="Goal in m: required for a map, else the source's.")
+    str | None, typer.Option(metavar="X,Y[,RADIUS]", help=defaulting("Goal in m; a map needs it.", "the source's"))
 ]
-VehicleName = Annotated[str | None, vehicle_option("Vehicle of the scenarios, instead of the usual one.")]
+ImportedVehicle = Annotated[
+    str | None, vehicle_option("Vehicle of the scenarios.", "barn jackal, dynobench the problem's, map mushr")
+]
+GeneratedVehicle = Annotated[
+    str | None, vehicle_option("Vehicle of the scenarios.", "mushr; for posts jackal, for track f1tenth")
+]
 Skip = Annotated[bool, typer.Option("--skip", help="Leave out shapes that cannot be obstacles.")]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="New folder for the scenarios and suite.yaml.")]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the first world; the next ones follow.")]
@@ -32,7 +37,7 @@ Count = Annotated[int, typer.Option(metavar="N", help="Number of worlds, up to 1
 Density = Annotated[
     float | None,
     typer.Option(
-        metavar="SHARE", help="Areas of all clutter over that of the floor between start and goal, 0.15 by default."
+        metavar="SHARE", help=defaulting("Areas of all clutter over that of the floor between start and goal.", "0.15")
     ),
 ]
 
@@ -43,7 +48,7 @@ def import_(
     sources: Sources,
     start: Start = None,
     goal: Goal = None,
-    vehicle: VehicleName = None,
+    vehicle: ImportedVehicle = None,
     skip: Skip = False,
     out: Out = Path("worlds"),
     json: Json = False,
@@ -81,7 +86,7 @@ def generate(
     ],
     seed: Seed = 0,
     count: Count = 1,
-    vehicle: VehicleName = None,
+    vehicle: GeneratedVehicle = None,
     density: Density = None,
     out: Out = Path("worlds"),
     json: Json = False,
