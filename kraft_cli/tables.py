@@ -94,7 +94,8 @@ def show_unsuccessful(terminal: Terminal, rows: Sequence[TrialRow], folder: Path
 
 
 def show_comparison(terminal: Terminal, comparison: Comparison) -> None:
-    """Print what is compared, the tables, and below them what differs."""
+    """Print what is compared, the tables, and below them what was found and what differs."""
+    from kraft.evaluation.comparison_findings import findings
     from kraft.evaluation.comparison_table import MEANINGS, comparison_tables, folders, remarks
 
     for line in folders(comparison):
@@ -102,8 +103,9 @@ def show_comparison(terminal: Terminal, comparison: Comparison) -> None:
     terminal.data("")
     _show_all(terminal, comparison_tables(comparison), MEANINGS)
     terminal.data("")
-    for line in remarks(comparison):
-        terminal.data(line)
+    for lines in (findings(comparison), remarks(comparison)):
+        for line in lines:
+            terminal.data(line)
 
 
 def _show_all(terminal: Terminal, tables: Sequence[Table], meanings: Mapping[str, str]) -> None:

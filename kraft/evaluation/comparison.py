@@ -16,7 +16,7 @@ from kraft.errors import Code, InputError, Problems
 from kraft.evaluation.journal import OUTCOMES, Key, TrialRow
 from kraft.evaluation.manifest import Difference, manifest_differences
 from kraft.evaluation.report.results import RecordedTrials, read_trials
-from kraft.evaluation.statistics import mcnemar, mean_difference_interval, sign_flip_p
+from kraft.evaluation.statistics import mcnemar, mean_difference_interval, mean_difference_p, sign_flip_p
 from kraft.provenance import MISSING
 
 Pair: TypeAlias = tuple[TrialRow, TrialRow]
@@ -39,6 +39,7 @@ class PairedRow:
         time_difference: mean difference of the durations of these pairs, s; None without any.
         time_interval: Student's 95 % interval of that, over pairs, or for all entries over entries; None with fewer
             than three of them, or if they are all the same.
+        time_p: two-sided p-value of no difference, of the test that belongs to the interval; None without one.
         digests: number of pairs that have digests of both drives.
         identical: number of those whose drives are the same, bit by bit.
         same_scenario: whether the content of the scenario is the same in both evaluations; of all entries, in each.
@@ -56,6 +57,7 @@ class PairedRow:
     both: int
     time_difference: float | None
     time_interval: tuple[float, float] | None
+    time_p: float | None
     digests: int
     identical: int
     same_scenario: bool
@@ -201,7 +203,7 @@ def _row(
         for (one, other), group in zip(pairs, groups, strict=True)
         if (before := one.success_time) is not None and (after := other.success_time) is not None
     ]
-    differences = [difference for difference, _ in times]
+    differences, their_groups = [difference for difference, _ in times], [group for _, group in times]
     digests = [(one.digest, other.digest) for one, other in pairs if one.digest and other.digest]
     counts = tuple({name: side.count(name) for name in OUTCOMES} for side in zip(*outcomes, strict=True))
     return PairedRow(
@@ -216,7 +218,8 @@ def _row(
         p=p,
         both=len(differences),
         time_difference=sum(differences) / len(differences) if differences else None,
-        time_interval=mean_difference_interval(differences, [group for _, group in times]),
+        time_interval=mean_difference_interval(differences, their_groups),
+        time_p=mean_difference_p(differences, their_groups),
         digests=len(digests),
         identical=sum(one == other for one, other in digests),
         same_scenario=same_scenario,
@@ -236,6 +239,7 @@ def _row_json(row: PairedRow) -> dict[str, Any]:
         "both_succeed": row.both,
         "time_difference_s": None if row.time_difference is None else round(row.time_difference, 6),
         "time_difference_ci95": None if row.time_interval is None else [round(end, 6) for end in row.time_interval],
+        "time_p": row.time_p,
         "digests": row.digests,
         "identical": row.identical,
         "same_scenario": row.same_scenario,

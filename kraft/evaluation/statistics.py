@@ -213,6 +213,30 @@ def mean_difference_interval(
     """
     from scipy.special import stdtrit
 
+    found = _mean_difference(differences, groups)
+    if found is None:
+        return None
+    mean, error, freedom = found
+    half = stdtrit(freedom, (1 + confidence) / 2) * error
+    return float(mean - half), float(mean + half)
+
+
+def mean_difference_p(differences: Sequence[float], groups: Sequence[Hashable]) -> float | None:
+    """Two-sided p-value of a mean difference of zero; below 0.05 where the 95 % interval is on one side of it.
+
+    None where there is no `mean_difference_interval`.
+    """
+    from scipy.special import stdtr
+
+    found = _mean_difference(differences, groups)
+    if found is None:
+        return None
+    mean, error, freedom = found
+    return 2.0 * float(stdtr(freedom, -abs(mean) / error))
+
+
+def _mean_difference(differences: Sequence[float], groups: Sequence[Hashable]) -> tuple[float, float, int] | None:
+    """Mean of differences in groups, its standard error, and the degrees of freedom of Student's distribution."""
     number = {group: k for k, group in enumerate(dict.fromkeys(groups))}
     sums, sizes = np.zeros(len(number)), np.zeros(len(number))
     for difference, group in zip(differences, groups, strict=True):
@@ -223,8 +247,7 @@ def mean_difference_interval(
         return None
     mean = sums.sum() / sizes.sum()
     error = np.sqrt(n / (n - 1) * np.square(sums - mean * sizes).sum()) / sizes.sum()
-    half = stdtrit(n - 1, (1 + confidence) / 2) * error
-    return float(mean - half), float(mean + half)
+    return float(mean), float(error), n - 1
 
 
 def _share_bootstrap(values: Floats, sizes: Floats, confidence: float) -> tuple[float, float] | None:

@@ -45,6 +45,7 @@ def test_a_pipe_gets_a_row_for_each_entry_and_method_and_the_differences(capsys:
     ]  # fmt: skip
     assert [row[-1] for row in rows] == ["4/4"] * 4
     assert lines[6] == "all entries"
+    assert "16 pairs in 4 rows: all drives are the same, bit by bit" in lines
     assert "p is not below 0.05 for any outcomes of fewer than 6 pairs: 4 rows" in lines
     assert "p of all entries is not below 0.05 for any outcomes in fewer than 6 entries" in lines
     assert any(line.startswith("dT 95 % CI") and "- with fewer than three" in line for line in lines)
