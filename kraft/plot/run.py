@@ -86,13 +86,13 @@ def plot_run(
     """
     picture_format(path)  # before the work, not after it
     drive = DrivenTrajectory.of(replace(result, cycles=as_driven(result.begun)), task.start)
-    notes = key_numbers(result, unknown)
+    notes = key_numbers(result, vehicle, unknown)
     with plot_style():
         write_picture(path, _compose(drive, task, vehicle, title or f"{task.name} · {result.method}", notes, hidden))
 
 
-def key_numbers(result: TrialResult, unknown: Sequence[str] = ()) -> Mapping[str, str]:
-    """Key figures above the map, by name."""
+def key_numbers(result: TrialResult, vehicle: Vehicle, unknown: Sequence[str] = ()) -> Mapping[str, str]:
+    """Key figures above the map, by name; the vehicle is the model that was planned with."""
     planning = [cycle.planning_ms for cycle in result.cycles]  # measured: left out, so that the picture repeats
     clear = f"{result.min_clearance:.3f} m" if math.isfinite(result.min_clearance) else "–"
     return MappingProxyType({
@@ -100,6 +100,7 @@ def key_numbers(result: TrialResult, unknown: Sequence[str] = ()) -> Mapping[str
         "smallest clearance": clear,
         "cycles": str(len(planning)),
         "contingencies": str(result.contingencies),
+        "vehicle": vehicle.name,
         "seed": str(result.seed),
         **({"not known to the planner": ", ".join(unknown)} if unknown else {}),
     })  # fmt: skip

@@ -270,7 +270,8 @@ def _previous(request: PlanRequest, task: Task | None, report: MessageSink) -> P
 def _draw(path: Path, task: Task, vehicle: Vehicle, result: PlanResult) -> None:
     from kraft.plot import plot_plan
 
-    plot_plan(path, task, vehicle, result.plan, result.tree, notes=notes(result), cycle=task.planning.cycle)
+    shown = notes(task, vehicle, result)
+    plot_plan(path, task, vehicle, result.plan, result.tree, notes=shown, cycle=task.planning.cycle)
 
 
 def plan_json(outcome: PlanOutcome) -> dict[str, Any]:
@@ -341,16 +342,18 @@ def table_rows(outcome: PlanOutcome) -> list[tuple[str, str]]:
     return rows
 
 
-def notes(result: PlanResult) -> dict[str, str]:
-    """Key numbers for the picture; none depends on the clock, so that equal plans give equal pictures."""
+def notes(task: Task, vehicle: Vehicle, result: PlanResult) -> dict[str, str]:
+    """Key numbers of the picture, and what it is of; none depends on the clock: equal plans give equal pictures."""
     plan, verification = result.plan, result.verification
+    subject = {"vehicle": vehicle.name, "planner": task.planning.planner, "seed": str(result.seed)}
     if plan is None or verification is None:
-        return {}
+        return subject
     found = {"duration": f"{plan.cost:.2f} s", "clearance": metres(verification.min_clearance)}
     if plan.contingency is not None:
         clearance = metres(verification.contingency_clearance)
         found["contingency"] = f"{plan.contingency.manoeuvre}, clearance {clearance}"
-    return {**found, "iterations": f"{result.progress.iterations:,}", "nodes": f"{result.progress.nodes:,}"}
+    progress = result.progress
+    return {**found, "iterations": f"{progress.iterations:,}", "nodes": f"{progress.nodes:,}", **subject}
 
 
 def vehicle_text(vehicle: Vehicle) -> str:

@@ -135,6 +135,16 @@ def test_a_picture_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert (tmp_path / "picture.svg").read_text().startswith("<?xml")
 
 
+def test_a_picture_says_what_was_planned_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    pages: list[dict[str, str]] = []
+    monkeypatch.setattr("kraft.plot.plot_plan", lambda *_, notes, cycle: pages.append(notes))
+    for more in ((), ("--set", "obstacles=[]", "--planner", "rrt", "--iterations", "1")):
+        main(["plan", "room.yaml", "--vehicle", "mushr-lag", "--seed", "3", "--plot", "p.png", *more])
+    assert [(page["vehicle"], page["planner"], page["seed"]) for page in pages] == [
+        ("mushr-lag", "dirt", "3"), ("mushr-lag", "rrt", "3"),
+    ]  # fmt: skip
+
+
 def test_parameters_replace_those_of_the_vehicle(capsys: pytest.CaptureFixture[str]) -> None:
     slow = run_json(capsys, "room.yaml", "--param", "v_delta=0.3", "--param", "L=0.25")
     fast = run_json(capsys, "room.yaml", "--vehicle", "mushr")

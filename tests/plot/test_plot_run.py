@@ -83,7 +83,12 @@ def test_every_outcome_is_on_the_page(outcome: Outcome, driven: TrialResult) -> 
     with plot_style():
         found = texts(
             _compose(
-                DrivenTrajectory.of(result, MOVABLE.start), MOVABLE.task(), MUSHR, "title", key_numbers(result), ()
+                DrivenTrajectory.of(result, MOVABLE.start),
+                MOVABLE.task(),
+                MUSHR,
+                "title",
+                key_numbers(result, MUSHR),
+                (),
             )
         )
     assert ("collision with left wall" in found) == collided
@@ -98,17 +103,29 @@ def test_a_trial_that_ends_at_its_start_is_drawn_without_panels(driven: TrialRes
     assert panels_of_run(DrivenTrajectory.of(result, MOVABLE.start), MOVABLE.task(), MUSHR) == []
 
 
+def test_the_page_names_the_vehicle_and_the_seed(driven: TrialResult) -> None:
+    with plot_style():
+        drive, notes = DrivenTrajectory.of(driven, MOVABLE.start), key_numbers(driven, MUSHR)
+        found = texts(_compose(drive, MOVABLE.task(), MUSHR, "title", notes, ()))
+    assert {"vehicle", MUSHR.name, "seed", str(driven.seed)} <= set(found)
+
+
 def test_what_the_planner_did_not_know_is_said() -> None:
     slope = load_scenario("slope")
     result = run_trial(TrialSpec(slope, load_method("oneshot-openloop"), MUSHR, 0))
     unknown = slope.truth.in_words()
     found = texts(
         _compose(
-            DrivenTrajectory.of(result, MOVABLE.start), slope.task(), MUSHR, "title", key_numbers(result, unknown), ()
+            DrivenTrajectory.of(result, MOVABLE.start),
+            slope.task(),
+            MUSHR,
+            "title",
+            key_numbers(result, MUSHR, unknown),
+            (),
         )
     )
     assert {"not known to the planner", "a floor that leans 7.16 degrees"} <= set(found)
-    assert "not known to the planner" not in key_numbers(result)
+    assert "not known to the planner" not in key_numbers(result, MUSHR)
 
 
 def test_the_curves_are_those_of_the_drive(driven: TrialResult) -> None:
