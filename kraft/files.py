@@ -19,6 +19,19 @@ from kraft.errors import Code, Diagnostic, InputError
 EXPECTED = "expected a place that can be written and has enough space"
 
 
+def path_from(folder: Path, reference: str) -> Path:
+    """Path that a file in `folder` states, without folders that a ``..`` leaves again, unless they are links.
+
+    So messages are about `floor.yaml` and not about `maps/../floor.yaml`, which `maps/lab.yaml` may call it.
+    """
+    path = folder / reference
+    short = Path(os.path.normpath(path))
+    with suppress(ValueError, OSError):  # a text that is no path is reported by who opens it
+        if os.path.realpath(short) == os.path.realpath(path):
+            return short
+    return path
+
+
 def check_writable(path: Path) -> None:
     """Check that a file or a new folder can be written at `path`, by writing to the nearest existing folder.
 

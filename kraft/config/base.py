@@ -19,6 +19,7 @@ from kraft.config.schema import check
 from kraft.config.source import KeyPath, Place, Source
 from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError
+from kraft.files import path_from
 
 BASE: Final = "base"
 """Key of the name or path of the base; a path is relative to the file."""
@@ -84,7 +85,8 @@ class BasedFiles(Generic[Model]):
             InputError: at the key `base`, if there is none, or it is based on this file.
         """
         try:
-            found = bundled.find(self.kind, reference if bundled.is_name(reference) else path.parent / reference)
+            named = reference if bundled.is_name(reference) else path_from(path.parent, reference)
+            found = bundled.find(self.kind, named)
         except InputError as error:
             raise InputError(
                 document.source.diagnostic(BASE, each.problem, each.expected, code=each.code)

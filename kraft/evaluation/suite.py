@@ -31,6 +31,7 @@ from kraft.config.schema import Name, StrictModel, check, part
 from kraft.config.source import Place, Source
 from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError
+from kraft.files import path_from
 from kraft.scenario import Scenario, load_scenario
 
 EntryName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]{0,99}$")]
@@ -211,7 +212,7 @@ def _suite_drafts(path: Path, problems: list[Diagnostic]) -> list[_Draft]:
     problems += [*check(SuiteFile, document)[1], *_repeated_entries(document)]
     drafts = []
     for k, entry in _valid_entries(document):
-        reference = entry.scenario if bundled.is_name(entry.scenario) else path.parent / entry.scenario
+        reference = entry.scenario if bundled.is_name(entry.scenario) else path_from(path.parent, entry.scenario)
         try:
             bundled.find("scenario", reference)
             overrides = _entry_overrides(document.source, k, entry.set, path.parent, problems)

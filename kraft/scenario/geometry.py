@@ -26,6 +26,7 @@ from kraft.config.schema import LENGTH_MIN, Angle, Coordinate, Probability, Stri
 from kraft.config.source import Source
 from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, InputError, Problems
+from kraft.files import path_from
 from ompl_ext.memory import available_memory, in_words
 from ompl_ext.obstacles import OccupancyGrid
 
@@ -261,7 +262,7 @@ def read_map(path: Path, *, height: float, name: str | None) -> OccupancyMap:
     image = document.data.get("image") if isinstance(document.data, dict) else None
     pixels = None
     if isinstance(image, str) and image:  # also if other keys are wrong
-        pixels = problems.of(lambda: _read_image(path.parent / image, document.source))
+        pixels = problems.of(lambda: _read_image(path_from(path.parent, image), document.source))
     problems.check()
     assert settings is not None, "every problem was raised"
     assert pixels is not None, "every problem was raised"

@@ -17,6 +17,7 @@ from kraft.config.schema import check, part
 from kraft.config.source import KeyPath
 from kraft.config.yaml_reader import parse_document, read_document
 from kraft.errors import Code, Diagnostic, InputError
+from kraft.files import path_from
 from kraft.scenario.geometry import (
     NOT_AN_IMAGE,
     Box,
@@ -168,7 +169,7 @@ def _maps(document: Document, folder: Path) -> tuple[dict[int, OccupancyMap], li
         settings = part(MapFile, _at(entry, ("map",)))
         if settings is None:
             continue
-        path = _folder(document, ("obstacles", i, "map", "file"), folder) / settings.file
+        path = path_from(_folder(document, ("obstacles", i, "map", "file"), folder), settings.file)
         name = _at(entry, ("name",))
         at = ("obstacles", i, "map", "file")
         try:

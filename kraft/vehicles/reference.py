@@ -11,6 +11,7 @@ from pathlib import Path
 from kraft.config import bundled
 from kraft.config.user_code import is_attribute, is_code, split_file
 from kraft.errors import Code
+from kraft.files import path_from
 from kraft.text import suggestion
 
 
@@ -47,7 +48,7 @@ def resolve_vehicle(reference: str, folder: Path) -> str:
     """
     if code := split_file(reference):
         file, attribute = code
-        return _existing(folder / file, "a Python file") + (f":{attribute}" if attribute else "")
+        return _existing(path_from(folder, file), "a Python file") + (f":{attribute}" if attribute else "")
     if is_attribute(reference):
         return reference
     if ":" in reference and bundled.is_name(reference):
@@ -60,7 +61,7 @@ def resolve_vehicle(reference: str, folder: Path) -> str:
             expected = suggestion(reference, bundled.names("vehicle"))
             raise VehicleProblem(f"there is no vehicle {reference!r}", expected, Code.NOT_FOUND)
         return reference
-    return _existing(folder / reference, "a vehicle's YAML file")
+    return _existing(path_from(folder, reference), "a vehicle's YAML file")
 
 
 def relative_vehicle(reference: str, folder: Path) -> str:

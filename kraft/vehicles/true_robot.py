@@ -12,6 +12,7 @@ from pydantic import Field, StringConstraints, model_validator
 from kraft.config.schema import Length, Mass, NonNegative, ParameterValue, StrictModel, Symbol, refuse
 from kraft.config.source import KeyPath, Source
 from kraft.errors import Code, Diagnostic
+from kraft.files import path_from
 from kraft.vehicles.reference import VehicleProblem, resolve_vehicle
 
 Text = Annotated[str, StringConstraints(min_length=1)]
@@ -149,7 +150,7 @@ def with_files(robot: RobotTruth, folder: Path, source: Source) -> tuple[dict[st
         except VehicleProblem as error:
             return found, [source.diagnostic("truth.model", error.problem, error.expected, code=error.code)]
     if robot.mjcf is not None:
-        path = _folder(source, ("truth", "mjcf"), folder) / robot.mjcf
+        path = path_from(_folder(source, ("truth", "mjcf"), folder), robot.mjcf)
         if not os.path.isfile(path):
             expected = "expected the path of a MuJoCo model (MJCF), relative to this file"
             problem = f"there is no file {path}"

@@ -12,7 +12,8 @@ from support.diagnostics import raised
 from kraft import files
 from kraft.config import bundled
 from kraft.errors import Code, InputError
-from kraft.files import Replacement, write_whole
+from kraft.files import Replacement, path_from, write_whole
+from kraft_cli.work.validate import check_file
 
 
 def full_disk(_: int) -> None:
@@ -71,3 +72,29 @@ def test_a_file_in_the_way_of_a_folder_is_an_error(tmp_path: Path) -> None:
         files.check_writable(tmp_path / "file" / "plan.json")
     with pytest.raises(InputError, match="cannot be written: "):
         write_whole(tmp_path / "file" / "plan.json", b"")
+
+
+def test_a_path_in_a_file_has_no_folder_that_is_left_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("my/suites").mkdir(parents=True)
+    Path("my/floor.yaml").write_text("nme: floor\n")
+    Path("my/suites/s.yaml").write_text(
+        "name: s\ndescription: d\nentries: [{name: a, scenario: ../floor.yaml}, {name: b, scenario: ../no.yaml}]\n"
+    )
+    Path("my/suites/m.yaml").write_text("name: m\ntitle: m\nbase: ../floor.yaml\n")
+    Path("my/suites/v.yaml").write_text(f"base: {Path('..') / 'floor.yaml'}\n")
+    found = [at for file in ("s", "m", "v") for at in _places(f"my/suites/{file}.yaml")]
+    assert {at for at in found if "floor" in at} == {"my/floor.yaml"}
+
+
+def _places(file: str) -> list[str]:
+    return [problem.file for problem in check_file(file, lambda _: None).problems]
+
+
+def test_a_path_through_a_link_keeps_its_way(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere" / "deep").mkdir(parents=True)
+    (tmp_path / "my").mkdir()
+    (tmp_path / "my" / "link").symlink_to(tmp_path / "elsewhere" / "deep")
+    assert path_from(tmp_path / "my" / "link", "../floor.yaml") == tmp_path / "my" / "link" / ".." / "floor.yaml"
+    assert path_from(tmp_path / "my", "../my/floor.yaml") == tmp_path / "my" / "floor.yaml"
+    assert path_from(tmp_path, "a\0b") == tmp_path / "a\0b", "reported by who opens it"
