@@ -41,7 +41,6 @@ REQUIRED: Final[dict[str, str]] = {
     "pydantic": "pydantic",
     "matplotlib": "matplotlib",
     "pillow": "PIL",
-    "pytest": "pytest",
 }
 """Each required package, and the module whose import is tested."""
 

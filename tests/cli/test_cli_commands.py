@@ -316,6 +316,12 @@ def test_the_doctor_looks_at_every_required_package() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     named = {re.split(r"[<>=!~\[; ]", requirement)[0] for requirement in project["dependencies"]}
     assert named == set(REQUIRED)
+    assert "pytest" not in named, "only tests need it"
+
+
+def test_identification_does_not_load_what_only_tests_need() -> None:
+    loads = "import sys; sys.modules['pytest'] = None; import gtsam, kraft.sysid.factor_graph"
+    subprocess.run([sys.executable, "-c", loads], check=True, cwd=ROOT)
 
 
 def test_the_doctor_looks_at_the_packages_of_every_extra() -> None:
