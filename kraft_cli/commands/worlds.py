@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -57,7 +58,7 @@ def import_(
 
     Worlds are Gazebo files (BARN), problems of dynobench, or occupancy maps; several also make a suite.
     """
-    from kraft_cli.work.worlds import ImportRequest, imported_json, run_import
+    from kraft_cli.work.worlds import ImportRequest, imported_json, robot_warnings, run_import
 
     terminal: Terminal = context.obj
     found = run_import(ImportRequest(kind, tuple(sources), out, start, goal, vehicle, skip), terminal.info)
@@ -67,8 +68,10 @@ def import_(
             terminal.problem(f"{each.world.name}: left out: {left}")
         if each.missing:
             terminal.info(f"{each.world.name}: no score: {each.missing}")
+    warnings = robot_warnings(found.written, vehicle)
+    _warn(terminal, warnings)
     if json:
-        terminal.json("kraft.import/1", imported_json(kind, found))
+        terminal.json("kraft.import/1", imported_json(kind, found, warnings))
     else:
         _report(terminal, found.written)
     return ExitStatus.DONE
@@ -96,17 +99,22 @@ def generate(
     The same seed gives the same world, for which the vehicle has a plan.
     """
     from kraft.worlds.generate import generate_worlds
-    from kraft_cli.work.worlds import generated_json, robot_warning
+    from kraft_cli.work.worlds import generated_json, robot_warnings
 
     terminal: Terminal = context.obj
     written = generate_worlds(kind, out, seed=seed, count=count, vehicle=vehicle, density=density, log=terminal.info)
-    if warning := robot_warning(written, vehicle):
-        terminal.problem(f"warning: {warning}")
+    warnings = robot_warnings(written, vehicle)
+    _warn(terminal, warnings)
     if json:
-        terminal.json("kraft.generate/1", generated_json(kind, seed, written))
+        terminal.json("kraft.generate/1", generated_json(kind, seed, written, warnings))
     else:
         _report(terminal, written)
     return ExitStatus.DONE
+
+
+def _warn(terminal: Terminal, warnings: Sequence[str]) -> None:
+    for text in warnings:
+        terminal.problem(f"warning: {text}")
 
 
 def _report(terminal: Terminal, written: Written) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -78,7 +79,7 @@ def goal_of(text: str) -> tuple[float, float, float]:
     return numbers_of("goal", whole, "X,Y[,RADIUS]")
 
 
-def imported_json(kind: str, found: Collection) -> dict[str, Any]:
+def imported_json(kind: str, found: Collection, warnings: Sequence[str]) -> dict[str, Any]:
     """Content of the ``kraft.import/1`` object, without its schema."""
     scenarios = [
         {
@@ -95,25 +96,27 @@ def imported_json(kind: str, found: Collection) -> dict[str, Any]:
         "folder": str(found.written.folder),
         "suite": str(found.written.suite),
         "scenarios": scenarios,
+        "warnings": list(warnings),
     }
 
 
-def robot_warning(written: Written, vehicle: str | None) -> str:
-    """What to say of the robot that is true in generated worlds for a vehicle; empty if there is nothing.
+def robot_warnings(written: Written, vehicle: str | None) -> list[str]:
+    """What to say of the robot that is true in worlds that were written for a vehicle; one text or none.
 
-    The worlds are alike in that, so that the first one stands for all; without `vehicle` all have a bundled one.
+    The worlds state no robot, so that the first one stands for all; without `vehicle` all have a bundled one.
     A robot that does not load is a warning too: planning in the worlds is possible.
     """
     if vehicle is None:
-        return ""
+        return []
     scenario = load_scenario(written.scenarios[0])
     try:
-        return other_robot(scenario, vehicle_of_task(scenario.task()))
+        text = other_robot(scenario, vehicle_of_task(scenario.task()))
     except InputError as error:
-        return "; ".join(map(str, error.diagnostics))
+        text = "; ".join(map(str, error.diagnostics))
+    return [text] if text else []
 
 
-def generated_json(kind: str, seed: int, written: Written) -> dict[str, Any]:
+def generated_json(kind: str, seed: int, written: Written, warnings: Sequence[str]) -> dict[str, Any]:
     """Content of the ``kraft.generate/1`` object, without its schema."""
     scenarios = [{"name": path.stem, "file": str(path)} for path in written.scenarios]
     return {
@@ -122,4 +125,5 @@ def generated_json(kind: str, seed: int, written: Written) -> dict[str, Any]:
         "folder": str(written.folder),
         "suite": str(written.suite),
         "scenarios": scenarios,
+        "warnings": list(warnings),
     }

@@ -212,8 +212,11 @@ def test_worlds_of_a_vehicle_in_code_name_its_file_and_warn_once_of_the_robot_th
     assert warning.startswith("warning: the true robot is the MuSHR")
     first = Path("made/posts-003.yaml").read_text().splitlines()[0]
     assert first == "# Written by kraft generate posts --seed 3 --vehicle cars/big.py:BIG."
-    assert main(["-q", "generate", "posts", "--vehicle", "mushr", "--out", "silent"]) == 0
-    assert capsys.readouterr().err == ""
+    assert main(["-q", *options[:-1], "again", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["warnings"] == [warning.removeprefix("warning: ")]
+    assert main(["-q", "generate", "posts", "--vehicle", "mushr", "--out", "silent", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert (json.loads(out)["warnings"], err) == ([], "")
 
 
 def test_worlds_and_their_vehicle_may_be_moved_together(tmp_path: Path) -> None:

@@ -317,6 +317,28 @@ def test_a_map_stays_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert f"{out}: is there already; expected a new folder" in capsys.readouterr().err
 
 
+def test_a_vehicle_that_is_not_the_robot_that_drives_is_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "big.py").write_text(
+        "from dataclasses import replace\n"
+        "from kraft.vehicles.mushr import MUSHR\n"
+        "from ompl_ext import Footprint\n"
+        'BIG = replace(MUSHR, name="big", footprint=Footprint(0.8, 0.4))\n'
+    )
+    arguments = ["-q", "import", "map", str(map_file(tmp_path)), "--start", "2,4,0", "--goal", "6,4"]
+    vehicles = {"other": ["--vehicle", f"{tmp_path}/big.py:BIG"], "usual": [], "named": ["--vehicle", "mushr"]}
+    found = {}
+    for name, vehicle in vehicles.items():
+        assert main([*arguments, *vehicle, "--out", str(tmp_path / name), "--json"]) == 0
+        out, err = capsys.readouterr()
+        assert [f"warning: {text}" for text in json.loads(out)["warnings"]] == err.splitlines()
+        found[name] = err.splitlines()
+    (warning,) = found.pop("other")
+    assert warning.startswith("warning: the true robot is the MuSHR")
+    assert found == {"usual": [], "named": []}
+
+
 def test_a_map_is_found_from_a_folder_that_is_a_link(tmp_path: Path) -> None:
     source, out = map_file(tmp_path), tmp_path / "link" / "out"
     (tmp_path / "real" / "deep").mkdir(parents=True)
