@@ -21,6 +21,7 @@ from kraft.plot.page import (
     note_rows_of,
 )
 from kraft.plot.style import (
+    GREY,
     INK,
     SMALL,
     picture_format,
@@ -74,6 +75,12 @@ ROWS: Final = (2.9, 3.3, 2.7)
 """Heights of data and parameters (at least), fit, and prediction."""
 CHOICE, MODEL = 1.7, 0.28
 """Heights of the choice of terms and of the bar of a model."""
+LEGEND_BELOW: Final = 0.15
+"""Distance of what the terms are from their names."""
+TERMS: Final = (
+    "terms: effects, such as friction, that the model can do without; from all on, those named are switched off one "
+    "after another, and + is switched on again. docs/sysid.md#terms explains each"
+)
 NAMES: Final = 0.8
 """Room for the names of models left of their bars."""
 
@@ -115,7 +122,7 @@ def compose(
         top += height + GAP
     if result.trials or result.models:
         tops.append(top)
-        terms = CHOICE + trial_names_height(result.trials) if result.trials else 0.0
+        terms = CHOICE + trial_names_height(result.trials) + LEGEND_BELOW if result.trials else 0.0
         top += max(terms, MODEL * len(result.models)) + 0.4
     floor = Rectangle(LEFT, tops[0], FLOOR, ROWS[0])
     page = Page(WIDTH, top - 0.25, floor, floor, (), rows)
@@ -230,6 +237,8 @@ def _draw_choice(figure: Figure, page: Page, top: float, result: Identification)
         about += "" if result.models else ", after switching off one term after another"
         words = [(f"Choice of terms of {models}", INK), (about, INK), *colours]
         caption(figure, page, part, words)
+        below = part.bottom + trial_names_height(result.trials) + LEGEND_BELOW
+        page.text(figure, part.left, below, TERMS, SMALL, GREY)
     if result.models:
         left = WIDTH - RIGHT - SIDE if result.trials else LEFT + NAMES
         part = Rectangle(left, top, SIDE, MODEL * len(result.models))

@@ -131,7 +131,7 @@ def sysid(
 def _report_details(terminal: Terminal, result: SysidResult) -> None:
     """Report the details that -v requests."""
     from kraft.text import counted
-    from kraft_cli.work.sysid_report import BY_TERMS, choice_lines, model_table
+    from kraft_cli.work.sysid_report import BY_TERMS, STEPS_CAPTION, TERMS_LEGEND, choice_lines, model_table
 
     initial = ", ".join(f"{name} {value:g}" for name, value in result.base.vehicle.parameters.items())
     terminal.detail(f"model {result.base.model}, from {initial}")
@@ -140,7 +140,11 @@ def _report_details(terminal: Terminal, result: SysidResult) -> None:
         f"identified in {result.seconds:.2f} s: {state} after {counted(result.identification.iterations, 'iteration')}"
     )
     trials = result.identification.trials
-    for line in (*("  ".join(cells).rstrip() for cells in model_table(trials)[1]), *choice_lines(trials, BY_TERMS)):
+    if not trials:
+        return
+    heading, rows = model_table(trials)
+    steps = ("  ".join(cells).rstrip() for cells in (heading, *rows))
+    for line in (STEPS_CAPTION, *steps, TERMS_LEGEND, *choice_lines(trials, BY_TERMS)):
         terminal.detail(line)
 
 
@@ -151,7 +155,7 @@ def _print(terminal: Terminal, result: SysidResult) -> None:
     if models:
         terminal.data(report.model_caption(result))
     for (heading, rows), below in (
-        (report.model_table(models), report.choice_lines(models, report.BY_MODEL)),
+        (report.model_table(models), [report.TERMS_LEGEND, *report.choice_lines(models, report.BY_MODEL)]),
         (report.parameter_table(result), []),
         (report.prediction_table(result), []),
     ):

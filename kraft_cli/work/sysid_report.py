@@ -124,6 +124,16 @@ BY_TERMS: Final = (
     "the terms that the likelihood of the poses shows"
 )
 """What decides between the rows of a table of models, and of one of structures."""
+TERMS_LEGEND: Final = (
+    "TERMS: number of effects, such as friction or a lever, that the logs show and the model has beside those that it "
+    "cannot do without; docs/sysid.md#terms explains each"
+)
+"""What a number in the column of terms counts."""
+STEPS_CAPTION: Final = (
+    "choice of terms: from the model with all of its terms on, one or several are switched off after another; each row "
+    "has the terms that are still on, and errors on logs, or parts of them, that it was not fitted to"
+)
+"""What the rows of a table of structures are."""
 
 
 def model_caption(result: SysidResult) -> str:

@@ -10,6 +10,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from support.paths import ROOT
 
 from kraft.config import bundled
 from kraft.recording.area import Area
@@ -17,14 +18,14 @@ from kraft.recording.experiment import PlannedDrive
 from kraft.recording.manoeuvres import Manoeuvre
 from kraft.sysid.base_vehicle import load_base_vehicle
 from kraft.sysid.interface import ModelTrial
-from kraft.sysid.parameters import parameter_specs
+from kraft.sysid.parameters import auxiliary_parameters, parameter_specs
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import RecordedVehicle, configured, load_vehicle
 from kraft.vehicles.true_robot import CarDimensions, RobotTruth
 from kraft_cli.work.next_drives import NextDrives, next_lines
 from kraft_cli.work.sysid import SysidResult
 from kraft_cli.work.sysid_notes import bounds_note, braking_note, uncovered_robot
-from kraft_cli.work.sysid_report import BY_MODEL, choice_lines, model_caption
+from kraft_cli.work.sysid_report import BY_MODEL, TERMS_LEGEND, choice_lines, model_caption
 from kraft_cli.work.sysid_request import SysidRequest
 
 
@@ -63,6 +64,23 @@ def test_a_row_of_a_model_that_was_fitted_to_the_logs_it_predicts_is_named() -> 
 def test_the_rule_of_a_choice_is_told_where_another_row_is_better(other: float, says: bool) -> None:
     rows = [ModelTrial("car", (), "", {1.0: other, 2.0: 0.05}, False), ModelTrial("b", (), "", {1.0: 0.01}, True)]
     assert choice_lines(rows, BY_MODEL) == ([BY_MODEL] if says else [])
+
+
+@pytest.mark.parametrize("name", ["car", "car-lag", "differential"])
+def test_every_term_is_explained_where_the_legend_of_the_terms_points(name: str) -> None:
+    page, _, heading = TERMS_LEGEND.split(" explains")[0].split()[-1].partition("#")
+    section = (ROOT / page).read_text(encoding="utf-8").split(f"\n## {heading.capitalize()}\n")[1].split("\n## ")[0]
+    kind = "`differential`" if name == "differential" else "a car"
+    table = section.split(f"| term of {kind} |")[1].split("\n\n")[0]
+    definition = load_base_vehicle(name).definition
+    assert isinstance(definition, VehicleConfig)
+    terms = {key: spec for key, spec in definition.parameters.items() if spec.neutral is not None}
+    assert terms
+    for key, spec in terms.items():
+        assert f"\n| `{key}` | {spec.unit} | " in table
+    for auxiliary in auxiliary_parameters(load_base_vehicle("mushr").vehicle):
+        stem = re.sub("^(delay|lag)_.*", r"\1_<control>", auxiliary)
+        assert f"`{stem}`" in section.split("| auxiliary parameter |")[1]
 
 
 @pytest.mark.parametrize(("least", "says"), [(0.0, True), (-0.3, False)])
