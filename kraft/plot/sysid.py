@@ -50,7 +50,10 @@ from kraft.plot.sysid_panels import (
     draw_trials,
     draw_windows,
     fit_panels,
+    has_hundredths,
     longest_time,
+    matrix_height,
+    matrix_side,
     table_height,
     trial_names_height,
 )
@@ -69,8 +72,9 @@ WIDTH: Final = 11.5
 SIDE: Final = 3.1  # width of the parts at the left and at the right
 FLOOR: Final = SIDE - 0.5
 TABLE_LEFT: Final = LEFT + FLOOR + 0.3
-MATRIX: Final = 2.1
 GAP: Final = 0.75
+NAMES_IN_GAP: Final = 0.3
+"""Part of the space between two rows that the names below the matrix may take."""
 ROWS: Final = (2.9, 3.3, 2.7)
 """Heights of data and parameters (at least), fit, and prediction."""
 CHOICE, MODEL = 1.7, 0.28
@@ -116,7 +120,7 @@ def compose(
     rows = note_rows_of(_notes(split, result, evaluation), WIDTH - LEFT - RIGHT)
     tops, top = [], HEADING + NOTES * len(rows) + 0.32
     below = table_height(result.parameters, result.warnings, _table_right(result) - TABLE_LEFT)
-    heights = (max(ROWS[0], below), *ROWS[1:])
+    heights = (max(ROWS[0], below, matrix_height(result.names) - NAMES_IN_GAP), *ROWS[1:])
     for height in heights:
         tops.append(top)
         top += height + GAP
@@ -165,18 +169,20 @@ def _draw_data(
     words: list[ColouredText] = [("Data", INK), ("fitted", FITTED)]
     caption(figure, page, floor, words + ([("held out", HELD_OUT)] if split.held_out else []))
     top = floor.top
-    matrix = Rectangle(WIDTH - RIGHT - MATRIX, top, MATRIX, MATRIX)
+    side = matrix_side(len(result.names))
+    matrix = Rectangle(WIDTH - RIGHT - side, top, side, side)
     table = Rectangle(TABLE_LEFT, top, _table_right(result) - TABLE_LEFT, height + 0.2)
     draw_parameters(figure, page, table, result.parameters, result.warnings)
     caption(figure, page, table, (("Parameters", INK), ("identified", IDENTIFIED), ("initial", INITIAL)))
+    about = f"({result.interval}{', hundredths' if has_hundredths(len(result.names)) else ''})"
     draw_correlation(page.axes(figure, matrix), result.names, result.correlation)
-    caption(figure, page, matrix, (("Correlation", INK), (f"({result.interval})", INK)))
+    caption(figure, page, matrix, (("Correlation", INK), (about, INK)))
 
 
 def _table_right(result: Identification) -> float:
     """Right side of the table of parameters, left of the names at the matrix, in."""
     labels = max((text_width(name, SMALL) for name in result.names), default=0.0) / 72 + 0.1
-    return WIDTH - RIGHT - MATRIX - labels - 0.25
+    return WIDTH - RIGHT - matrix_side(len(result.names)) - labels - 0.25
 
 
 def _paths(logs: Sequence[Log]) -> list[np.ndarray[tuple[int, int], np.dtype[np.float64]]]:

@@ -61,6 +61,14 @@ BAR: Final = 0.75
 """Least width of the bars in the table: the width of their heading."""
 BETWEEN: Final = 0.12
 """Room between columns of the table."""
+MATRIX, MATRIX_MAX = 2.1, 3.0
+"""Least and largest side of the matrix of correlations."""
+DECIMALS_MAX: Final = 7
+"""Most parameters whose correlations have room for a point and two decimals."""
+CELL_SHARE: Final = 0.86
+"""Share of the width of a cell that its number takes at most."""
+LINE_SPACE: Final = 1.6
+"""Distance of turned names over the size of their letters."""
 TURNED: Final = 35.0
 """Angle of names below an axis, degrees."""
 FAR: Final = 10.0
@@ -144,20 +152,45 @@ def _draw_bar(axes: Axes, estimate: ParameterEstimate) -> None:
     axes.plot((estimate.value,), (0,), "o", color=IDENTIFIED, markersize=3.5, markeredgewidth=0, clip_on=False)
 
 
+def matrix_side(count: int) -> float:
+    """Side of the matrix of so many parameters, in: its cells are as high as the rows of the table beside it."""
+    return min(max(MATRIX, ROW * count), MATRIX_MAX)
+
+
+def matrix_height(names: Sequence[str]) -> float:
+    """Height of the matrix with the turned names below it, in."""
+    longest = max((text_width(name, SMALL) for name in names), default=0.0) / 72
+    return matrix_side(len(names)) + longest * math.sin(math.radians(_turned_names(len(names)))) + 0.1
+
+
+def has_hundredths(count: int) -> bool:
+    """Whether the matrix of so many parameters has its numbers in hundredths, which are shorter."""
+    return count > DECIMALS_MAX
+
+
+def _turned_names(count: int) -> float:
+    """Angle of the names below the matrix, degrees, at which lines of text do not touch each other."""
+    apart = 72.0 * matrix_side(count) / max(count, 1)
+    return max(TURNED, math.degrees(math.asin(min(1.0, LINE_SPACE * SMALL / apart))))
+
+
 def draw_correlation(axes: Axes, names: Sequence[str], correlation: Floats) -> None:
-    """The matrix, with its numbers."""
+    """The matrix, with its numbers, in axes that are a square of `matrix_side`."""
     count = len(names)
     if count == 0:
         draw_message(axes, "nothing was estimated")
         return
     axes.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="auto")
-    size = min(LABEL, 46.0 / count)
-    for i in range(count):
-        for j in range(count):
-            value = float(correlation[i, j])
-            colour = "white" if abs(value) > 0.6 else INK
-            axes.text(j, i, plain_number(round(value, 2)), ha="center", va="center", fontsize=size, color=colour)
-    axes.set_xticks(range(count), labels=list(names), rotation=TURNED, ha="right", rotation_mode="anchor")
+    factor = 100.0 if has_hundredths(count) else 1.0
+    cells = [[plain_number(round(100.0 * float(value)) * factor / 100.0) for value in row] for row in correlation]
+    widest = max(text_width(cell, LABEL) for row in cells for cell in row)
+    size = LABEL * min(1.0, 72.0 * CELL_SHARE * matrix_side(count) / count / widest)
+    for i, row in enumerate(cells):
+        for j, cell in enumerate(row):
+            colour = "white" if abs(float(correlation[i, j])) > 0.6 else INK
+            axes.text(j, i, cell, ha="center", va="center", fontsize=size, color=colour)
+    turned = _turned_names(count)
+    axes.set_xticks(range(count), labels=list(names), rotation=turned, ha="right", rotation_mode="anchor")
     axes.set_yticks(range(count), labels=list(names))
     axes.tick_params(length=0, labelcolor=INK)
     axes.spines[:].set_visible(False)

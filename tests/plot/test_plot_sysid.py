@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,6 +53,27 @@ def test_parameters_fit_residuals_prediction_and_correlation_are_on_the_page() -
                  "held out"):  # fmt: skip
         assert said in seen
     assert "not identified" not in seen
+
+
+@pytest.mark.parametrize("count", [1, 3, 8, 12, 22])
+def test_names_and_numbers_of_the_correlations_do_not_overlap(count: int) -> None:
+    names = tuple(f"parameter_{k}" for k in range(count))
+    estimate = next(iter(RESULT.parameters.values()))
+    many = replace(
+        RESULT, names=names, parameters=dict.fromkeys(names, estimate), covariance=0.99 * np.eye(count) - 0.004
+    )
+    figure = page(SPLIT, many)
+    figure.draw_without_rendering()
+    axes = next(axes for axes in figure.axes if axes.images)
+    cell = axes.get_window_extent().width / count
+    for number in axes.texts:
+        assert number.get_window_extent().width < cell
+    labels = axes.get_xticklabels()
+    points = cell * 72.0 / figure.dpi
+    assert all(points * math.sin(math.radians(label.get_rotation())) > 1.3 * label.get_fontsize() for label in labels)
+    lowest = min(label.get_window_extent().y0 for label in labels)
+    below = next(text for text in figure.texts if text.get_text() == "Residuals, x and y")
+    assert lowest > below.get_window_extent().y1
 
 
 def test_the_page_has_the_number_and_the_used_time_of_fitted_and_of_held_out_logs() -> None:
