@@ -97,9 +97,13 @@ def _add_body(spec: Any, name: str, frame: FloorFrame) -> Any:
     return spec.worldbody.add_body(name=name, pos=frame.origin, quat=quaternion(frame.rotation))
 
 
+def is_wall(obstacle: Obstacle) -> bool:
+    """Whether an obstacle is so long and thin that it has the look of a wall."""
+    return isinstance(obstacle, Box) and max(obstacle.size) > WALL_RATIO * min(obstacle.size)
+
+
 def _add_obstacle(spec: Any, body: Any, i: int, obstacle: Obstacle) -> None:
-    thin = isinstance(obstacle, Box) and max(obstacle.size) > WALL_RATIO * min(obstacle.size)
-    material, bits = "wall" if thin else "obstacle", contacts.settings(**contacts.OBSTACLE)
+    material, bits = "wall" if is_wall(obstacle) else "obstacle", contacts.settings(**contacts.OBSTACLE)
     shapes = obstacle.boxes() if isinstance(obstacle, OccupancyMap) else (obstacle,)
     parts = [geom for shape in shapes for geom in _geoms(spec, f"obstacle {i}", shape)]
     for j, geom in enumerate(parts):

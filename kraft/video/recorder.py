@@ -104,7 +104,7 @@ class VideoRecorder:
         renderer = SceneRenderer(world, spec, SIZE, self._map_width, BAND)
         try:
             self._draw(renderer, report)
-            picture = self._overlay.over(renderer.picture(last), last, result)
+            picture = self._overlay.over(renderer.picture(last), [*self._frames, last], result)
         finally:
             renderer.close()
         for _ in range(round(HOLD * self._file.fps)):
@@ -115,15 +115,24 @@ class VideoRecorder:
         """Draw the frames of the drive."""
         seconds = len(self._frames) / self._file.fps
         report(f"drawing the film of {seconds:.1f} s ...")
-        told = clock.monotonic()
+        began = told = clock.monotonic()
+        past: list[Snapshot] = []
         for _, equal in itertools.groupby(self._frames, key=id):
             frames = list(equal)
-            picture = self._overlay.over(renderer.picture(frames[0]), frames[0])
+            past.append(frames[0])
+            picture = self._overlay.over(renderer.picture(frames[0]), past)
             for _ in frames:
                 self._file.add(picture)
             if clock.monotonic() > told + REPORTED:
                 told = clock.monotonic()
-                report(f"  {self._file.frames / self._file.fps:.1f} of {seconds:.1f} s are drawn")
+                drawn = self._file.frames / self._file.fps
+                report(f"  {drawn:.1f} of {seconds:.1f} s are drawn{_remaining(told - began, drawn / seconds)}")
+
+
+def _remaining(elapsed: float, share: float) -> str:
+    """What to say of the time that remains after `elapsed` s, in which a share of the work was done."""
+    left = elapsed * (1.0 - share) / share
+    return f", about {max(left, 1.0):.0f} s remain"
 
 
 def map_width(bounds: Bounds) -> int:
@@ -147,12 +156,14 @@ def write_still(path: Path, spec: TrialSpec, time: float) -> None:
     side, snapshots = map_width(spec.scenario.bounds), SnapshotRecorder(spec)
     gl = offscreen_context(*SIZE)
 
+    past: list[Snapshot] = []
+
     def on_step(world: TrueWorld, step: Step) -> None:
-        snapshot = snapshots.on_step(world, step)
+        past.append(snapshots.on_step(world, step))
         if world.time >= time - 1e-6:
             gl.make_current()
             renderer = SceneRenderer(world, spec, SIZE, side, BAND)
-            write_whole(path, _png(Overlay(spec, SIZE, side).over(renderer.picture(snapshot), snapshot)))
+            write_whole(path, _png(Overlay(spec, SIZE, side).over(renderer.picture(past[-1]), past)))
             renderer.close()
             raise _StillWritten
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import os
+import re
 import subprocess
 import sys
 from ctypes.util import find_library
@@ -28,9 +29,11 @@ from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
 from kraft.video.drawing import ESTIMATE, FAILURE, PLAN, Snapshot, SnapshotRecorder
-from kraft.video.overlay import Overlay, font, wrapped
+from kraft.video.legend import scene_rows
+from kraft.video.overlay import BAND, Overlay
 from kraft.video.recorder import HOLD, SIZE, VideoRecorder, map_width, write_still
 from kraft.video.renderer import FORMATS, FilmWriter, Image, SceneRenderer, smoothed
+from kraft.video.type import font, wrapped
 
 FPS = FORMATS[".mp4"].fps
 SECONDS = 0.4
@@ -318,6 +321,47 @@ def test_a_map_that_is_turned_says_so(name: str, turned: bool) -> None:
     spec = TrialSpec.load(name)
     side = map_width(spec.scenario.bounds)
     snapshot = Snapshot(0.0, np.zeros(3), 0.0, None, 1.0, None, np.zeros((2, 3)), np.zeros(1), None)
-    picture = Overlay(spec, SIZE, side).over(np.full((SIZE[1], SIZE[0], 3), 128, np.uint8), snapshot)
+    picture = Overlay(spec, SIZE, side).over(np.full((SIZE[1], SIZE[0], 3), 128, np.uint8), [snapshot])
     foot_of_map = picture[-40:, SIZE[0] - side + 2 :]
     assert bool((foot_of_map != 128).any()) is turned
+
+
+@pytest.mark.parametrize(
+    ("name", "things"),
+    [
+        ("movable", {"goal", "wall", "obstacle", "box, not known"}),
+        ("bump", {"goal", "wall", "obstacle", "bump, not known"}),
+        ("slip", {"goal", "wall", "obstacle", "other friction, not known"}),
+    ],
+)
+def test_the_legend_has_the_kinds_of_things_of_the_scene(name: str, things: set[str]) -> None:
+    assert {row for row, _ in scene_rows(load_scenario(name))} == things
+
+
+def foot_of(snapshots: list[Snapshot]) -> Image:
+    """The band at the foot of a picture with these snapshots, right of the state, without the edge of the map."""
+    spec = TrialSpec.load("turns")
+    side = map_width(spec.scenario.bounds)
+    picture = Overlay(spec, SIZE, side).over(np.full((SIZE[1], SIZE[0], 3), 128, np.uint8), snapshots)
+    return picture[-BAND:, SIZE[0] // 2 : SIZE[0] - side - 2]
+
+
+def test_the_foot_of_a_film_shows_the_speeds_so_far() -> None:
+    at = [Snapshot(t, np.zeros(3), t / 10.0, None, 1.0, None, np.zeros((2, 3)), np.zeros(1), None) for t in (0.0, 5.0)]
+    alone, both = foot_of([at[1]]), foot_of(at)
+    changed = np.argwhere((alone != both).any(axis=2))
+    assert len(changed) > 100
+    rows, columns = changed.T
+    assert columns.max() < 0.75 * both.shape[1], "half of the ten seconds have passed"
+    lowest, highest = rows[np.argmin(columns)], rows[np.argmax(columns)]
+    assert lowest > highest, "the car got faster"
+
+
+def test_what_remains_to_be_drawn_is_told(drawing: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kraft.video.recorder.REPORTED", 0.0)
+    said: list[str] = []
+    with VideoRecorder(tmp_path / "a.mp4", spec := short_trial()) as recorder:
+        recorder.finish(run_trial(spec, recorder.on_cycle, recorder.on_step), said.append)
+    assert said[0].startswith("drawing the film of 0.4 s")
+    assert said[1:]
+    assert all(re.fullmatch(r"  0\.\d of 0\.4 s are drawn, about \d+ s remain", line) for line in said[1:])
