@@ -60,8 +60,10 @@ ERROR: Final = (0.002, 0.002, 0.005)
 """Quanta of an estimate's error."""
 NOISE: Final = (0.005, 0.005, 0.01)
 """Quanta of an observation's error."""
+LINE: Final = 0.003
+"""Quantum of the points of plans and contingencies, m: with a larger one smooth curves through them would waver."""
 POINT: Final = 0.01
-"""Quantum of the points of plans, contingencies and trees, m."""
+"""Quantum of the corners of what has blocked the vehicle, and half of that of the points of trees, m."""
 SHARE: Final = 200
 """Quanta of a command in the range of its control."""
 LEVEL: Final = 6
@@ -187,7 +189,7 @@ def _line(reference: Reference, vehicle: Vehicle) -> list[Any]:
     first, last = math.ceil(reference.start / GRID - 1e-6), math.floor(reference.end / GRID + 1e-6)
     times = sorted({reference.start, *(GRID * k for k in range(first, last + 1)), reference.end})
     axes = vehicle.index("x"), vehicle.index("y")
-    return [series(np.interp(times, reference.times, reference.states[:, axis]), POINT) for axis in axes]
+    return [series(np.interp(times, reference.times, reference.states[:, axis]), LINE, 2) for axis in axes]
 
 
 def _band(predicted: PredictedMotion, vehicle: Vehicle) -> dict[str, Any]:

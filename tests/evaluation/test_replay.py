@@ -50,6 +50,9 @@ def test_a_replay_has_every_tick_and_cycle_of_its_trial() -> None:
     assert [cycle["kind"] for cycle in drive["cycles"]] == [cycle.kind for cycle in result.cycles]
     assert [[values_of(axis)[-1] for axis in box] for box in drive["boxes"]] == [list(box) for box in boxes]
     assert list(drive["command"]) == list(spec.vehicle.controls)
+    reference = result.cycles[0].reference
+    for axis, drawn in enumerate(drive["cycles"][0]["plan"]):
+        assert values_of(drawn)[[0, -1]] == pytest.approx(reference.states[[0, -1], axis], abs=0.002)
     assert replay_of(spec, result) == replay
     assert replay_of(spec, replace(result, steps=())) is None
 

@@ -12,6 +12,7 @@ from urllib.error import HTTPError
 import numpy as np
 import pytest
 from playwright.sync_api import Page
+from support.paths import ROOT
 from support.replays import unpacked, values_of
 from support.report_page import CHROMIUM, Driven, car, needs_chromium, open_trial, seek, shown
 
@@ -301,6 +302,47 @@ def test_every_plot_has_the_time_below_it(tab: Page, driven: Driven) -> None:
         assert end - times[1] < times[-1] <= end
         boxes = plot.locator("text").evaluate_all("all => all.map(e => e.getBoundingClientRect().right)")
         assert max(boxes) <= plot.evaluate("e => e.getBoundingClientRect().right")
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_every_plot_has_round_values_at_its_axis_and_their_unit(width: int, tab: Page, driven: Driven) -> None:
+    tab.set_viewport_size({"width": width, "height": 900})
+    open_trial(tab, driven.url)
+    units = []
+    for plot in tab.locator("#plots svg").all():
+        words = plot.locator("text.level").all_text_contents()
+        numbers = [float(text.split()[0].replace("\N{MINUS SIGN}", "-")) for text in words]
+        assert len(numbers) >= 2
+        steps = np.diff(numbers)
+        assert steps == pytest.approx(steps[0])
+        assert f"{steps[0]:e}"[0] in "125"
+        units.append(" ".join(words[-1].split()[1:]))
+        left = plot.evaluate("e => e.getBoundingClientRect().left")
+        assert (
+            min(plot.locator("text.level").evaluate_all("all => all.map(e => e.getBoundingClientRect().left)")) >= left
+        )
+    assert units[:3] == ["m", "m", "m/s"]
+    assert units[-1] == "rad"
+
+
+def test_a_plan_is_drawn_as_a_smooth_curve_through_its_points(tab: Page, driven: Driven) -> None:
+    open_trial(tab, driven.url)
+    plan = driven.drive("kraft", 0)["cycles"][0]["plan"]
+    points = np.stack([values_of(axis) for axis in plan], axis=1)
+    drawn = tab.get_attribute("#stage .plan", "d") or ""
+    ends = [[float(number) for number in part.split()[-2:]] for part in drawn.removeprefix("M").split("C")]
+    assert len(ends) > 10
+    for end in ends:
+        assert np.hypot(*(points - end).T).min() < 0.001
+
+
+def test_a_smooth_curve_has_no_loop_where_a_vehicle_reverses(tab: Page) -> None:
+    tab.goto("about:blank")
+    tab.add_script_tag(path=ROOT / "kraft" / "evaluation" / "report" / "replay.js")
+    straight = "M0.000 0.000C0.000 0.000 0.667 0.000 1.000 0.000C1.333 0.000 2.000 0.000 2.000 0.000"
+    assert tab.evaluate("curve([[0, 0], [1, 0], [1, 0], [2, 0]])") == straight
+    assert "C0.000 0.000 1.000 0.100 1.000 0.100C1.000 0.100 " in tab.evaluate("curve([[0, 0], [1, 0.1], [0, 0.2]])")
+    assert tab.evaluate("curve([])") == ""
 
 
 @pytest.mark.parametrize("width", [390, 600, 768])

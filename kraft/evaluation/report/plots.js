@@ -1,9 +1,21 @@
 // Plots of a drive over its time; replay.js moves their cursor. Units are m, s and rad.
 
+const APART = 18; // usual distance between two values at an axis, px
+
 /** Round times from 0 to `end`, at most seven of them. */
 function roundTimes(end) {
   const step = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500].find((step) => end / step <= 6) ?? 1000;
   return Array.from({ length: Math.floor(end / step + 1e-9) + 1 }, (_, k) => k * step);
+}
+
+/** Round values from `low` to `high` in steps of 1, 2 or 5: about `most` of them, two at least; with their number of decimals. */
+function roundValues(low, high, most) {
+  const least = (high - low) / most, power = 10 ** Math.floor(Math.log10(least));
+  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= least * (1 - 1e-9));
+  const first = Math.ceil(low / step - 1e-6), last = Math.floor(high / step + 1e-6);
+  if (last - first < 1) return roundValues(low, high, most + 1);
+  const decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  return { decimals, values: Array.from({ length: last - first + 1 }, (_, k) => (first + k) * step) };
 }
 
 /** A plot over the time of the drive; `lines` are {name, look, times, values}. */
@@ -20,7 +32,7 @@ class Plot {
 
   /** Draw the plot in a width and a height in pixels. */
   render(width, height) {
-    const left = 44, right = 16, top = 6, bottom = 20, floor = height - 14; // px; the words of the axis are below the floor
+    const left = 58, right = 16, top = 6, bottom = 20, floor = height - 14; // px; the words of the axis are below the floor
     this.x = (time) => left + ((width - left - right) * time) / this.drive.end;
     this.timeAt = (x) => Math.min(this.drive.end, Math.max(0, ((x - left) / (width - left - right)) * this.drive.end));
     const y = (value) => height - bottom - ((height - top - bottom) * (value - this.low)) / (this.high - this.low);
@@ -36,10 +48,13 @@ class Plot {
       parts.push(draw("line", { class: "grid", x1: this.x(time), x2: this.x(time), y1: height - bottom, y2: floor }));
       parts.push(draw("text", { x: this.x(time), y: height - 3, "text-anchor": "middle" }, `${Number(time.toFixed(1))} s`));
     }
-    for (const value of [this.low, this.high]) {
-      parts.push(draw("line", { class: "grid", x1: left, x2: width - right, y1: y(value), y2: y(value) }));
-      parts.push(draw("text", { x: left - 6, y: y(value) + (value === this.low ? 0 : 8), "text-anchor": "end" }, value.toFixed(2)));
-    }
+    const { values, decimals } = roundValues(this.low, this.high, Math.max(1, Math.floor((height - top - bottom) / APART)));
+    values.forEach((value, k) => {
+      const number = (value === 0 ? 0 : value).toFixed(decimals).replace("-", "\u2212");
+      const words = k === values.length - 1 ? `${number} ${this.unit}`.trim() : number;
+      parts.push(draw("line", { class: value === 0 ? "zero" : "grid", x1: left, x2: width - right, y1: y(value), y2: y(value) }));
+      parts.push(draw("text", { class: "level", x: left - 6, y: y(value) + 4, "text-anchor": "end" }, words));
+    });
     for (const line of this.lines) {
       let d = "", joined = false;
       line.values.forEach((value, i) => {

@@ -75,6 +75,27 @@ function path(points, closed = false) {
   return points.length ? "M" + points.map(([x, y]) => `${x.toFixed(3)} ${y.toFixed(3)}`).join("L") + (closed ? "z" : "") : "";
 }
 
+/** Point of control of a smooth curve at `here` on the side of `after`; `here` itself at its ends and where it reverses. */
+function control(before, here, after) {
+  if (!before || !after) return here;
+  const [ax, ay, bx, by] = [here[0] - before[0], here[1] - before[1], after[0] - here[0], after[1] - here[1]];
+  if (ax * bx + ay * by <= 0) return here;
+  // centripetal Catmull-Rom: the square roots of the distances are the parameters, so that no loop comes of unequal ones
+  const a = Math.sqrt(Math.hypot(ax, ay)), b = Math.sqrt(Math.hypot(bx, by)), whole = 3 * a * (a + b);
+  return here.map((value, k) => value + (a * a * (after[k] - value) + b * b * (value - before[k])) / whole);
+}
+
+/** Smooth curve through points, as vehicles drive between the samples of a plan. */
+function curve(points) {
+  const all = points.filter(([x, y], i) => i === 0 || x !== points[i - 1][0] || y !== points[i - 1][1]);
+  if (all.length < 3) return path(all);
+  const text = ([x, y]) => `${x.toFixed(3)} ${y.toFixed(3)}`;
+  return `M${text(all[0])}` + all.slice(1).map((end, i) => {
+    const first = control(all[i - 1], all[i], end), second = control(all[i + 2], end, all[i]);
+    return `C${text(first)} ${text(second)} ${text(end)}`;
+  }).join("");
+}
+
 /** Drive of a trial with its series as lists of numbers; `time` is the trial's (s), null if it has none. */
 class Drive {
   constructor(content, time) {
@@ -214,8 +235,8 @@ class Stage {
     const stop = cycle.kind === "contingency";
     this.blocked.setAttribute("d", cycle.blocked.map((corners) => path(corners, true)).join(""));
     this.tree.setAttribute("d", tree);
-    this.plan.setAttribute("d", stop ? "" : path(cycle.plan));
-    this.contingency.setAttribute("d", path(stop ? cycle.plan : cycle.contingency ?? []));
+    this.plan.setAttribute("d", stop ? "" : curve(cycle.plan));
+    this.contingency.setAttribute("d", curve(stop ? cycle.plan : cycle.contingency ?? []));
     // One path per shape in a group with one opacity: the shapes overlap without getting darker.
     this.band.replaceChildren(...cycle.predicted.map((pose, i) => {
       const width = cycle.delta ? 2 * cycle.delta[i] : 0;
