@@ -1,4 +1,4 @@
-"""The controller of a drive, in a process of its own: it holds a plan with its contingency and drives it on a clock.
+"""The controller of a drive: it holds a plan with its contingency and drives it on a clock.
 
 It never waits for poses or for messages of the planner, and takes them when they are there; without them it drives the
 plan that it has to its end and stops with the contingency, or the watchdog stops it.  If the planner's process ends it
@@ -9,40 +9,26 @@ brake guard (`kraft.robot.guard`) does so.
 from __future__ import annotations
 
 import math
-import sys
 import threading
 import time as clock
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
-from multiprocessing.connection import Connection
 from typing import Final
-
-import numpy as np
 
 from kraft.driving.estimation.adaptive import Learned
 from kraft.driving.messages import Commitment, Estimate, Observation, ReferenceKind
-from kraft.errors import KraftError
 from kraft.robot.arrival import Arrival
-from kraft.robot.checklist import Checklist
-from kraft.robot.connect import open_transport
+from kraft.robot.decision_requests import DecisionRequests
 from kraft.robot.guard import SILENCE
 from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
-from kraft.robot.journal import Journal, headings
+from kraft.robot.journal import Journal
 from kraft.robot.link import Link
-from kraft.robot.peers import PeerWatch, wait_for_another
+from kraft.robot.peers import PeerWatch
 from kraft.robot.poses import Clocks
-from kraft.robot.priority import (
-    leave_signals_to_planner,
-    lock_memory,
-    name_this_process,
-    prefer_this_process,
-    shorten_collections,
-)
+from kraft.robot.priority import shorten_collections
 from kraft.robot.protocol import (
     Beat,
-    Begin,
     DriveSpec,
     Ended,
     Guarded,
@@ -51,9 +37,7 @@ from kraft.robot.protocol import (
     Mailbox,
     Planned,
     PlanRequest,
-    Ready,
     Reconnected,
-    Released,
     Sense,
     Status,
     StopOrder,
@@ -61,7 +45,7 @@ from kraft.robot.protocol import (
     TaskTaken,
 )
 from kraft.robot.task_inputs import TaskInputs
-from kraft.robot.tracker import Tracker, warm_up
+from kraft.robot.tracker import Tracker
 from kraft.robot.transport import Transport
 from ompl_ext.arrays import Floats
 from ompl_ext.times import SAME_TIME
@@ -82,73 +66,10 @@ STOPPING_MAX: Final = 6.0
 """Longest time in which a vehicle that stops at the end of a drive comes to rest, s."""
 PEERS_PERIOD: Final = 1.0
 """Time between two looks for a second publisher of commands, s."""
-RECENT: Final = 5
-"""Number of decisions whose duration tells how early the next one has to be asked for."""
-HURRY: Final = 1.3
-"""How much earlier than the slowest of them it is asked for."""
-LEAD_MAX: Final = 0.6
-"""Share of a cycle before its beginning that is the earliest time to ask."""
-GUARD_TIME: Final = 10.0
-"""Longest time to wait until the brake guard can send commands, s."""
-REPORT_TIME: Final = 5.0
-"""Longest time in which a planner that is busy takes the result of the drive, s."""
 MAIL_TIME: Final = 0.005
 """Time in which the messages are there that the brake guard has sent during a pause, s."""
 UNSENT: Final = 60
 """Number of messages from which on the brake guard counts as held up."""
-
-
-def run_control(
-    spec: DriveSpec, planner: Connection, guard: Connection, maps: Connection | None, others: Sequence[Connection]
-) -> None:
-    """Main function of the process: check, drive, and write what is driven as it is driven.
-
-    `planner`, `guard` and `maps` lead to the other processes; `others` are ends that this one does not need.
-    """
-    for each in others:
-        each.close()
-    leave_signals_to_planner()
-    name_this_process("kraft control")
-    sys.setswitchinterval(0.0005)
-    prefer_this_process()
-    lock_memory()
-    mailbox, guard_mail = Mailbox(planner, "the planner's process"), Mailbox(guard, "the brake guard")
-    try:
-        transport = open_transport(spec.robot)
-    except KraftError as error:  # the planner's process raises it
-        mailbox.send(error).wait(REPORT_TIME)
-        return
-    try:
-        inputs = Inputs(spec.robot, transport)
-        tasks = TaskInputs(spec.robot, transport, Mailbox(maps, "the process of the maps") if maps else None)
-        found = Checklist(spec.robot, transport, inputs, tasks).run(spec, lambda: not mailbox.is_empty, mailbox.send)
-        if mailbox.is_empty:  # otherwise an order to stop has cut the check list short
-            mailbox.send(found)
-        order = mailbox.wait()
-        if isinstance(order, StopOrder):
-            ended = Ended("stopped" if mailbox.closed else "interrupted", order.reason, 0.0)
-            mailbox.send(ended).wait(REPORT_TIME)
-        elif isinstance(order, Begin) and found.passed:
-            before = transport.peers(spec.robot.command.topic).publishers
-            guard_mail.send(order)
-            warm_up(spec)
-            tracker = Tracker(spec, order, transport, inputs)
-            _wait_for_guard(spec, transport, guard_mail, before)
-            health = Health(spec.robot.watchdog, min(found.pose_rate, spec.robot.pose.rate_hz), spec.period)
-            with Journal(spec.folder, headings(spec.vehicle)) as journal:
-                ended = Control(spec, transport, inputs, tasks, mailbox, guard_mail, journal, tracker, health).run()
-                released = guard_mail.send(Released())  # before the journal is written, which may take long
-            released.wait(1.0)
-            mailbox.send(replace(ended, unwritten=journal.problem)).wait(REPORT_TIME)
-    finally:
-        transport.close()
-
-
-def _wait_for_guard(spec: DriveSpec, transport: Transport, guard: Mailbox, before: frozenset[str] | None) -> None:
-    """Wait until the brake guard is ready and listed beside the publishers `before`, where the transport can tell."""
-    if not isinstance(guard.wait(GUARD_TIME), Ready):
-        raise RuntimeError("the brake guard has not started")
-    wait_for_another(transport, spec.robot.command.topic, before, GUARD_TIME)
 
 
 class Control:
@@ -161,9 +82,9 @@ class Control:
         self._spec, self._transport, self._inputs, self._tasks = spec, transport, inputs, tasks
         self._mailbox, self._guard, self._journal, self._tracker = mailbox, guard, journal, tracker
         self._health = health
-        self._model, self._on_board, self._settings = tracker.model, tracker.on_board, tracker.settings
-        self._lead, self.period = tracker.settings.lead, spec.period
-        self._cycle, self._waiting = 0, False
+        self._model, self._on_board = tracker.model, tracker.on_board
+        self.period, self._cycle = spec.period, 0
+        self._requests = DecisionRequests(tracker.settings.cycle, tracker.settings.lead)
         self._planned: deque[Planned] = deque()
         self._observations: list[Observation] = []
         self._commands: list[tuple[float, Floats, Floats]] = []
@@ -174,10 +95,8 @@ class Control:
         self._stood = 0.0  # time for which the vehicle has stood at the end of a contingency, s
         self._late = self._missed = self._ticks = self._guarded = self._stops = 0
         self._worst_late = 0.0
-        self._reply_delays: deque[float] = deque(maxlen=1000)
         self._last_tick = -LEAD_IN
-        self._requested = self._ended_at = 0.0
-        self._next = 0
+        self._ended_at = 0.0
         self._next_status = 0.0
         self._why = ""
         self._since_stop: float | None = None
@@ -210,7 +129,7 @@ class Control:
         measures = {
             "ticks": self._ticks, "late_ticks": self._late, "worst_late_ms": 1000 * self._worst_late,
             "missed_commitments": self._missed, "guard_commands": self._guarded,
-            "decision_ms": 1000 * float(np.median(self._reply_delays)) if self._reply_delays else math.nan,
+            "decision_ms": 1000 * self._requests.median_delay,
         }  # fmt: skip
         self._event(self._ended_at, f"{outcome}: {reason}" if reason else outcome)
         refused = dict(self._tracker.poses.refused)
@@ -337,10 +256,7 @@ class Control:
     def _take_messages(self, now: float) -> None:
         for message in self._mailbox.take():
             if isinstance(message, Planned):
-                self._waiting = False
-                self._reply_delays.append(now - self._requested)
-                slowest = HURRY * max(list(self._reply_delays)[-RECENT:])
-                self._lead = min(max(self._settings.lead, slowest), LEAD_MAX * self._settings.cycle)
+                self._requests.answered(now)
                 self._planned.append(message)
             elif isinstance(message, TaskTaken):
                 self._take_answer(now, message)
@@ -411,14 +327,10 @@ class Control:
 
     def _request(self, now: float) -> None:
         """Ask for the next commitment when it is due, unless the planner still works on the last one."""
-        lead, cycle = self._lead, self._settings.cycle
-        if now < self._next * cycle - lead or self._waiting or self._mailbox.closed or self._ending is not None:
+        if self._mailbox.closed or self._ending is not None or not self._requests.is_due(now):
             return
-        number = max(self._next, math.ceil((now + 0.5 * lead) / cycle))  # what cannot be decided in time is left out
-        sense = self._sensed()
-        self._waiting, self._requested = True, now
-        self._mailbox.send(PlanRequest(now, number, sense, self._on_board.commitment))
-        self._next = number + 1
+        number = self._requests.ask(now)
+        self._mailbox.send(PlanRequest(now, number, self._sensed(), self._on_board.commitment))
 
     def _take_task(self, now: float) -> None:
         """Hand a new goal or map to the planner at once: it gets ready for it before it decides the next time."""
@@ -467,8 +379,8 @@ class Control:
             self._end(now, "timeout", f"the goal was not reached in {self._spec.timeout:g} s")
         elif self._since_stop is not None and now - self._since_stop > watchdog.give_up:
             self._end(now, "stopped", self._trouble(now) or self._why)
-        elif self._waiting and now - self._requested > watchdog.give_up:
-            self._end(now, "stopped", f"the planner has not answered for {now - self._requested:.1f} s")
+        elif (waited := self._requests.waited(now)) > watchdog.give_up:
+            self._end(now, "stopped", f"the planner has not answered for {waited:.1f} s")
         elif min(estimate.age, now) > watchdog.give_up:
             self._end(now, "stopped", self._link.trouble or self._why_blind(estimate))
 

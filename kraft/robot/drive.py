@@ -21,7 +21,7 @@ from kraft.driving.method import Method, Oracle
 from kraft.errors import Code, Diagnostic, InputError, KraftError
 from kraft.files import LineFile
 from kraft.robot.connect import check_transport
-from kraft.robot.control import run_control
+from kraft.robot.control_process import run_control
 from kraft.robot.guard import run_guard
 from kraft.robot.journal import add_event
 from kraft.robot.maps import run_maps

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import replace
-from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +11,12 @@ import numpy as np
 import pytest
 
 from kraft.driving.car_model import CarModel
-from kraft.driving.messages import Commitment, Estimate, Reference, ReferenceKind
+from kraft.driving.messages import Commitment, Estimate
 from kraft.driving.method import load_method
 from kraft.driving.references import manoeuvre_reference
 from kraft.errors import Code, InputError
 from kraft.robot.command import CommandCodec, limited, unit_problem, unit_warnings
-from kraft.robot.control import Control
 from kraft.robot.drive import check_method, on_the_clock
-from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
 from kraft.robot.journal import Journal
 from kraft.robot.loopback import LoopbackBus
@@ -28,9 +24,8 @@ from kraft.robot.maps import occupancy_map
 from kraft.robot.messages import BOOL, GRID, make, pose_fields
 from kraft.robot.planner import Planner, changed
 from kraft.robot.poses import Clocks, PoseGuard, Received, units_hint
-from kraft.robot.protocol import Begin, DriveSpec, Guarded, Mailbox, PlanRequest, Sense, TaskChange
+from kraft.robot.protocol import Begin, DriveSpec, PlanRequest, Sense, TaskChange
 from kraft.robot.robot_file import Robot
-from kraft.robot.task_inputs import TaskInputs
 from kraft.robot.timebase import TopicClock
 from kraft.robot.tracker import Tracker
 from kraft.robot.world import clock_message
@@ -309,34 +304,6 @@ def test_the_time_of_a_simulation_is_known_between_late_messages(speed: float, m
     assert np.abs(errors).max() < 2e6 * speed
     assert times == sorted(times)
     assert followed.wall(0.01) == pytest.approx(0.01 / speed, rel=1e-3)
-
-
-def test_a_command_of_the_guard_that_is_newer_than_the_tick_counts_from_the_tick() -> None:
-    """The guard may send one between the beginning of a tick and the look at its messages."""
-    described, bus = robot(), LoopbackBus()
-    spec = DriveSpec(
-        load_scenario("boxes").task(), load_method("adaptive-kraft"), load_vehicle("mushr"), described, 60.0
-    )
-    start = spec.task.start
-    state = spec.at_rest((start.x, start.y, start.heading))
-    rest = Reference(ReferenceKind.CONTINGENCY, np.array([0.0]), state[np.newaxis], np.zeros((0, 2)), np.zeros(2))
-    node = bus.node("kraft")
-    inputs = Inputs(described, node)
-    tracker = Tracker(spec, Begin(state, Commitment(rest)), node, inputs)
-    (planner, _planner), (guard, theirs) = Pipe(), Pipe()
-    mail = Mailbox(guard, "the brake guard")
-    health = Health(described.watchdog, 30.0, spec.period)
-    control = Control(
-        spec, node, inputs, TaskInputs(described, node, None), Mailbox(planner, "the planner"), mail, Journal(None, {}),
-        tracker, health,
-    )  # fmt: skip
-    theirs.send(Guarded(1.3, np.array([0.5, 0.1])))
-    until = time.monotonic() + 5.0
-    while (found := control._take_guarded(1.2)) == 0 and time.monotonic() < until:
-        time.sleep(0.001)
-    assert found == 1
-    assert tracker.last_sent == 1.2
-    tracker.commanded(1.2, np.zeros(2))
 
 
 def test_after_a_stop_the_car_is_kept_where_it_stands() -> None:

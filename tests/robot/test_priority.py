@@ -39,7 +39,7 @@ def test_what_was_left_out_of_collections_is_collected_again_afterwards() -> Non
 
 def test_processes_of_a_drive_load_nothing_that_only_identification_from_logs_needs() -> None:
     program = (
-        "import sys, kraft.robot.guard, kraft.robot.control; "
+        "import sys, kraft.robot.guard, kraft.robot.control_process; "
         "print(sorted({'scipy.stats', 'scipy.optimize', 'kraft.sysid.identify', 'mujoco', 'matplotlib'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
