@@ -32,7 +32,8 @@ from kraft.driving.messages import (  # fmt: skip
 )
 from kraft.driving.method import PlannerSettings
 from kraft.driving.prediction import ClosedLoopPredictor, least_slack, required_clearance
-from kraft.driving.proposer import RECOVERY_MARGIN, Proposal, Proposer
+from kraft.driving.proposal import Proposal
+from kraft.driving.proposer import RECOVERY_MARGIN, Proposer
 from kraft.driving.references import at_rest, contingency_reference, plan_reference, standing_reference
 from kraft.driving.room import nearest_free, place_with_room, refusal
 from kraft.driving.solvers import Solvers
@@ -104,7 +105,8 @@ class Replanner:
             Proposer, settings=settings, seed=seed, realtime=realtime, keep_trees=keep_trees,
             command_timeout=command_timeout,
         )  # fmt: skip
-        self._proposer = self._propose_with(solvers)
+        self.proposer = self._propose_with(solvers)
+        """what searches for the plans"""
         self._blockage = None if settings.blocked is None else Blockage(settings.blocked, self.dirt.vehicle)
         self._blocked: tuple[Polygon, ...] = ()
         self._has_maps = True  # whether the solvers in use know them
@@ -122,7 +124,8 @@ class Replanner:
         self._one_shot = settings.mode == "one-shot"
         self.set_delay(delay)
         self._number = 0
-        self._proposal = Proposal(None, "no plan has been made yet")
+        self.proposal = Proposal(None, "no plan has been made yet")
+        """plan for the next cycle, or why there is none; `decide` checks it before it is committed"""
         self._contingency: Reference | None = None
         self._decision: Decision | None = None
         self._in_transit: list[tuple[float, Commitment]] = []
@@ -137,11 +140,11 @@ class Replanner:
 
         With a bound, the first plan keeps the one of this uncertainty, or only the margin if none is stated.
         """
-        self._proposer.set_settings(self._settings.for_first_plan)
+        self.proposer.set_settings(self._settings.for_first_plan)
         if self._calibration is not None and uncertainty is not None:
             self._set_bound(self._calibration.bound(uncertainty))
-        self._proposal = self._proposer.propose(0, state, None)
-        self._proposer.set_settings(self._settings)
+        self.proposal = self.proposer.propose(0, state, None)
+        self.proposer.set_settings(self._settings)
         return Commitment(standing_reference(self.dirt.vehicle, state, 0.0))
 
     @property
@@ -159,7 +162,7 @@ class Replanner:
     def skip_to(self, number: int) -> None:
         """Leave out the cycles before `number`, for which nothing was decided in time; there is no plan for it then."""
         if number > self._number:
-            self._number, self._proposal = number, Proposal(None, "planning was held up")
+            self._number, self.proposal = number, Proposal(None, "planning was held up")
 
     @property
     def blocked(self) -> tuple[Polygon, ...]:
@@ -173,7 +176,7 @@ class Replanner:
         `blocked` are those of their obstacles that are not the task's.
         """
         self._blocked = blocked
-        self._proposer.set_solvers(solvers)
+        self.proposer.set_solvers(solvers)
         self._use(solvers)
 
     def _use(self, solvers: Solvers) -> None:
@@ -232,7 +235,7 @@ class Replanner:
         if not self._one_shot:
             decision = self._decision
             root = self._with_room(decision.predicted.final_state)
-            self._proposal = self._proposer.propose(self._number, root, decision.plan)
+            self.proposal = self.proposer.propose(self._number, root, decision.plan)
 
     def _look_for_blockage(self, estimate: Estimate, current: Commitment) -> tuple[float, float] | None:
         """Plan round what blocks the vehicle, which the map does not have; forget it all where that leaves no way.
@@ -241,7 +244,7 @@ class Replanner:
         """
         if self._blockage is None:
             return None
-        leads = self._proposal.plan is not None and self._proposal.plan.reaches_goal
+        leads = self.proposal.plan is not None and self.proposal.plan.reaches_goal
         self._fruitless = 0 if leads else self._fruitless + 1
         tracked, uncertainty = current.reference_at(estimate.time), estimate.uncertainty
         acceleration = 0.0 if uncertainty is None else uncertainty.acceleration
@@ -260,12 +263,12 @@ class Replanner:
         Their maps take up to the time of a decision: `prepare` makes them.
         """
         self._blocked, self._fruitless, self._has_maps = obstacles, 0, False
-        self._proposal = Proposal(None, reason)
+        self.proposal = Proposal(None, reason)
 
     def _make_maps(self) -> None:
         """Make the solvers for what blocks the vehicle."""
         solvers = self._solvers.with_obstacles(self._blocked, self._settings)
-        self._proposer = self._propose_with(solvers)
+        self.proposer = self._propose_with(solvers)
         self._use(solvers)
 
     def _calibrate(self, estimate: Estimate, current: Commitment) -> None:
@@ -280,7 +283,7 @@ class Replanner:
 
     def _set_bound(self, bound: DeviationBound) -> None:
         self._bound = bound
-        self._proposer.set_bound(bound)
+        self.proposer.set_bound(bound)
         self._delta = self.dirt.safety.delta
 
     def _stands(self, estimate: Estimate, current: Commitment) -> bool:
@@ -297,7 +300,7 @@ class Replanner:
 
         The clearance for which the plan was made rests on an older estimate.
         """
-        dirt, recovers = self.dirt, self._proposer.recovers
+        dirt, recovers = self.dirt, self.proposer.recovers
         if self._switches and self._settings.recover and (recovers or self._is_resting(root)):
             slack = least_slack(dirt, root[None, :], 0.0)
             if slack < 0.0 or recovers:
@@ -320,18 +323,16 @@ class Replanner:
 
     def _decide(self, root: Floats, cycle_start: float, estimate: Estimate, current: Commitment) -> Decision:
         """Safety check right before a cycle, from the latest estimate."""
-        plan = self._proposal.plan
+        plan = self.proposal.plan
         if plan is None:
-            return self._choose_contingency(root, cycle_start, current, self._proposal.reason)
+            return self._choose_contingency(root, cycle_start, current, self.proposal.reason)
         if self._number > 0 and estimate.age > self._settings.patience:
             old = math.isfinite(estimate.age)
             reason = f"the newest observation is {estimate.age:.2f} s old" if old else "no observation has arrived"
             return self._choose_contingency(root, cycle_start, current, reason)
         decision = self._checked(plan, root, cycle_start)
         if decision == NO_ROOM:
-            slower = (
-                self._checked(each, root, cycle_start) for each in self._proposer.slower(self._number, plan, root)
-            )
+            slower = (self._checked(each, root, cycle_start) for each in self.proposer.slower(self._number, plan, root))
             decision = next((each for each in slower if isinstance(each, Decision)), decision)
         if isinstance(decision, Decision):
             return decision
@@ -351,7 +352,7 @@ class Replanner:
             return f"the plan lacks {-predicted.slack:.3f} m of clearance"
         if not self.dirt.safety.enabled:
             return Decision(reference, predicted, "", plan)
-        if self._proposer.loss is not None and self._proposer.loss.slack(predicted) < 0.0:
+        if self.proposer.loss is not None and self.proposer.loss.slack(predicted) < 0.0:
             return NO_ROOM
         if self._moved_from is not None:
             refused = refusal(self.dirt, self._moved_from, root, plan, predicted.states)
@@ -423,8 +424,8 @@ class Replanner:
     ) -> TrackedContingency:
         """Best tracked contingency from the root, with the plan on board and the refused one as paths to follow."""
         plans = [current.reference] if current.reference.kind is ReferenceKind.PLAN else []
-        if self._proposal.plan is not None:
-            plans.append(plan_reference(self.dirt.vehicle, self._proposal.plan, time))
+        if self.proposal.plan is not None:
+            plans.append(plan_reference(self.dirt.vehicle, self.proposal.plan, time))
         return ranking.best(Begin(root, time, time), stored, plans)
 
     def _is_near(self, root: Floats, expected: Floats) -> bool:
@@ -447,7 +448,7 @@ class Replanner:
         return replace(motion, delta=required_clearance(self.dirt, motion.states))
 
     def _record(self, decision: Decision, cycle_start: float, estimate: Estimate) -> Cycle:
-        vehicle, plan, proposal, stopping = self.dirt.vehicle, decision.plan, self._proposal, decision.stopping
+        vehicle, plan, proposal, stopping = self.dirt.vehicle, decision.plan, self.proposal, decision.stopping
         return Cycle(
             number=self._number,
             time=cycle_start,

@@ -6,18 +6,24 @@ import math
 
 import numpy as np
 import pytest
-from support.replanner import mushr, replanner, start
+from support.replanner import mushr, planner_settings, replanner, start, turns
 
 from kraft.driving.blockage import GAP, Blockage
 from kraft.driving.messages import Commitment, Cycle, Estimate, Reference, ReferenceKind
 from kraft.driving.method import Clearance
 from kraft.driving.replanner import FORGET, Replanner
+from kraft.driving.solvers import Solvers
+from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.exact import ExactClearance
 from ompl_ext.obstacles import Polygon, Workspace
 from ompl_ext.poses import poses_of
 
 PATIENCE, CYCLE = 1.0, 0.25
+LEFT, RIGHT = turns().bounds.x
+ACROSS = Polygon(np.array([[LEFT, 0.5], [RIGHT, 0.5], [RIGHT, 0.6], [LEFT, 0.6]]))
+"""A wall across the whole of Turns, before the start."""
+CAREFUL = {"cycle": CYCLE, "blocked": PATIENCE, "safety": Clearance(delta=0.02, delta_per_speed=0.0)}
 STATE = np.array([1.0, 0.5, 0.5 * math.pi, 0.0])
 
 
@@ -112,8 +118,12 @@ def held(subject: Replanner, cycles: int, state: Floats) -> list[Cycle]:
 
 
 def careful(**settings: object) -> Replanner:
-    chosen = {"cycle": CYCLE, "blocked": PATIENCE, "safety": Clearance(delta=0.02, delta_per_speed=0.0)}
-    return replanner(model="mushr-drive", **chosen, **settings)
+    return replanner(model="mushr-drive", **CAREFUL, **settings)  # type: ignore[arg-type]
+
+
+def careful_solvers(*more: Polygon) -> Solvers:
+    """Solvers of such a replanner, with more obstacles than the task has."""
+    return Solvers.of(turns(), load_vehicle("mushr-drive"), planner_settings(**CAREFUL), more)
 
 
 def test_plans_lead_round_what_blocks_the_vehicle() -> None:
@@ -124,7 +134,7 @@ def test_plans_lead_round_what_blocks_the_vehicle() -> None:
     assert cycles[-1].blocked == subject.blocked
     assert [cycle.held for cycle in cycles if cycle.held is not None] == [(0.0, cycles[stopped].decided)]
     assert cycles[stopped].held is not None
-    plan = subject._proposal.plan
+    plan = subject.proposal.plan
     assert plan is not None
     obstacle = Workspace(subject.dirt.workspace.bounds, subject.blocked)
     away = ExactClearance(obstacle, subject.dirt.vehicle.footprint).distances(poses_of(plan.trajectory, mushr()))
@@ -148,9 +158,10 @@ def test_the_maps_of_what_blocks_the_vehicle_are_made_after_the_decision() -> No
 
 
 def test_the_vehicle_keeps_its_parameters_and_its_task_when_it_is_blocked() -> None:
-    subject = careful()
+    subject, solvers = careful(), careful_solvers()
     values = np.array(list(subject.dirt.vehicle.parameters.values())) * 0.9
-    subject._solvers.set_parameters(values)
+    solvers.set_parameters(values)
+    subject.set_solvers(solvers)
     before = len(subject.dirt.workspace.obstacles)
     held(subject, 6, start())
     assert np.array(list(subject.dirt.vehicle.parameters.values())) == pytest.approx(values)
@@ -159,15 +170,23 @@ def test_the_vehicle_keeps_its_parameters_and_its_task_when_it_is_blocked() -> N
 
 def test_what_blocked_the_vehicle_is_forgotten_where_it_leaves_no_way() -> None:
     subject = careful()
-    (left, right), _ = subject.dirt.workspace.bounds
-    wall = Polygon(np.array([[left, 0.5], [right, 0.5], [right, 0.6], [left, 0.6]]))
-    subject.begin(start())
-    subject._block((wall,), "")
-    cycles = held(subject, round(FORGET / CYCLE) + 4, start())
-    assert any("no way leads round" in cycle.reason for cycle in cycles)
-    assert cycles[-1].blocked == subject.blocked == ()
-    assert subject._blockage is not None
-    assert subject._blockage._patience == 2.0 * PATIENCE
+    subject.set_solvers(careful_solvers(ACROSS), (ACROSS,))
+    cycles = held(subject, round((FORGET + 2.0 * PATIENCE) / CYCLE) + 2, start())
+    forgotten = next(k for k, cycle in enumerate(cycles) if "no way leads round" in cycle.reason)
+    assert [cycle.blocked for cycle in cycles[: forgotten + 1]] == [*[(ACROSS,)] * forgotten, ()]
+
+
+def test_after_that_twice_the_time_on_a_plan_shows_that_something_is_in_the_way() -> None:
+    """No way led round what was found, which may be no obstacle at all."""
+    seen = []
+    for wall in (None, ACROSS):
+        subject = careful()
+        if wall is not None:
+            subject.set_solvers(careful_solvers(wall), (wall,))
+        cycles = held(subject, round((FORGET + 2.0 * PATIENCE) / CYCLE) + 2, start())
+        found = next(k for k, cycle in enumerate(cycles) if cycle.held is not None)
+        seen.append(sum(cycle.kind is ReferenceKind.PLAN for cycle in cycles[:found]))
+    assert seen == [round(PATIENCE / CYCLE), round(2.0 * PATIENCE / CYCLE)]
 
 
 def test_one_shot_methods_refuse_the_setting() -> None:

@@ -8,16 +8,16 @@ from statistics import NormalDist
 
 import numpy as np
 import pytest
-from support.replanner import mushr, proposals, replanner, share_kept, start
+from support.replanner import mushr, proposals, proposer, replanner, share_kept, start
 
 from kraft.driving.bound import UNCORRECTED, BoundCalibration, DeviationBound, radius_quantiles, turning_error
 from kraft.driving.car_model import model_of
 from kraft.driving.levels import HYSTERESIS, STEADY
 from kraft.driving.messages import Commitment, Estimate, PredictedMotion, ReferenceKind, Uncertainty
 from kraft.driving.method import CalibratedBound
-from kraft.driving.proposer import Proposal
+from kraft.driving.proposal import Proposal
+from kraft.driving.proposer import Proposer
 from kraft.driving.references import standing_reference
-from kraft.driving.replanner import Replanner
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import OpenLoopErrors
 
@@ -212,7 +212,7 @@ def test_an_estimate_outside_the_prediction_is_not_compared(time: float) -> None
 def test_the_first_plan_keeps_the_bound_of_the_estimate_at_the_start() -> None:
     subject = replanner(bound=SHARES, iterations=600)
     subject.begin(start(), uncertainty())
-    plan = subject._proposal.plan
+    plan = subject.proposal.plan
     assert plan is not None
     needed = BoundCalibration(SHARES, mushr()).bound(uncertainty()).at(plan.trajectory[:, 3], plan.times)
     assert (subject.dirt.exact.distances(plan.trajectory[:, :3]) >= needed - 1e-6).all()
@@ -228,7 +228,7 @@ def test_the_first_plan_has_a_budget_of_its_own() -> None:
     for first in (None, 2000):
         subject = replanner(bound=SHARES, iterations=600, first_iterations=first)
         subject.begin(start(), uncertainty())
-        spent[first] = subject._proposal.iterations
+        spent[first] = subject.proposal.iterations
     assert spent[None] <= 600
     assert 2000 <= spent[2000] <= 4000
 
@@ -236,22 +236,22 @@ def test_the_first_plan_has_a_budget_of_its_own() -> None:
 # Shares
 
 
-def proposed(*bounds: DeviationBound) -> tuple[Replanner, list[Proposal]]:
-    """Proposals with a bound each, of a replanner that may keep shares of it."""
-    subject = replanner(bound=SHARES, iterations=600)
+def proposed(*bounds: DeviationBound) -> tuple[Proposer, list[Proposal]]:
+    """Proposals with a bound each, of a proposer that may keep shares of it."""
+    subject = proposer(bound=SHARES, iterations=600)
     return subject, list(proposals(subject, *bounds))
 
 
 def test_a_bound_that_leaves_a_way_is_kept_wholly() -> None:
     subject, (found,) = proposed(WIDE)
-    assert share_kept(subject._proposer) == 1.0
+    assert share_kept(subject) == 1.0
     assert found.plan is not None
     assert subject.dirt.exact.distances(found.plan.trajectory[:, :3]).min() >= WIDE.delta - 1e-9
 
 
 def test_a_bound_that_leaves_no_way_is_kept_in_the_first_share_that_does() -> None:
     subject, (found,) = proposed(NARROW)
-    assert share_kept(subject._proposer) == 0.25
+    assert share_kept(subject) == 0.25
     assert found.plan is not None
     assert found.plan.reaches_goal
     assert subject.dirt.exact.distances(found.plan.trajectory[:, :3]).min() >= 0.25 * NARROW.delta - 1e-9
@@ -263,8 +263,8 @@ def test_a_plan_is_checked_again_with_a_part_of_the_share_that_it_keeps() -> Non
 
 
 def test_the_share_goes_back_up_when_the_bound_leaves_a_way_again_but_not_at_once() -> None:
-    subject = replanner(bound=SHARES, iterations=600)
-    kept = [share_kept(subject._proposer) for _ in proposals(subject, NARROW, *[WIDE] * (STEADY * 4))]
+    subject = proposer(bound=SHARES, iterations=600)
+    kept = [share_kept(subject) for _ in proposals(subject, NARROW, *[WIDE] * (STEADY * 4))]
     assert kept[1] == 0.25
     assert kept[-1] == 1.0
     assert kept == sorted(kept)
@@ -272,7 +272,7 @@ def test_the_share_goes_back_up_when_the_bound_leaves_a_way_again_but_not_at_onc
 
 def test_the_remainder_of_a_plan_needs_a_little_less_than_a_new_plan() -> None:
     subject, _ = proposed(WIDE)
-    levels = subject._proposer._levels
+    levels = subject.levels
     new, eased = (levels.set(0, eased).safety.delta for eased in (False, True))
     assert (new, eased) == (pytest.approx(WIDE.delta), pytest.approx(HYSTERESIS * WIDE.delta))
 
@@ -290,9 +290,8 @@ def test_the_recorded_delta_is_the_full_bound_also_where_the_plan_keeps_a_share(
         current, time = cycles[-1].commitment, subject.next_step
         predicted = cycles[-1].predicted
         state = np.array([np.interp(time, predicted.times, column) for column in predicted.states.T])
-    assert share_kept(subject._proposer) < 1.0
-    bound, last = subject._bound, cycles[-1]
-    assert bound is not None
+    assert share_kept(subject.proposer) < 1.0
+    bound, last = subject.proposer.levels.bound, cycles[-1]
     assert last.predicted.delta is not None
     speeds = last.predicted.states[:, 3]
     assert last.predicted.delta == pytest.approx(bound.at(speeds, last.predicted.times - last.time))
@@ -304,7 +303,7 @@ def test_parameters_in_the_estimate_are_those_that_are_planned_with() -> None:
     current = subject.begin(start())
     values = mushr().parameter_array * [1.1, 1.0, 0.8]
     subject.step(Estimate(0.0, start(), 0.0, values, uncertainty()), current)
-    for dirt in (subject._solvers.checking, subject._solvers.planning):
+    for dirt in (subject.dirt, subject.proposer.search.solvers.planning):
         assert dirt.vehicle.parameter_array == pytest.approx(values)
         assert dirt.problem.parameters[:3] == pytest.approx(values)
 
@@ -323,11 +322,10 @@ def test_a_motion_whose_message_was_lost_calibrates_nothing() -> None:
         subject = replanner(bound=SETTINGS)
         current = subject.begin(start(), uncertainty())
         cycle = subject.step(Estimate(0.0, start(), 0.0, None, uncertainty()), current)
-        assert subject._calibration is not None
-        before = subject._calibration.factor
+        before = subject.proposer.levels.bound.delta
         elsewhere = cycle.predicted.states[-1] + np.array([0.0, 0.3, 0.0, 0.0])
         estimate = Estimate(float(cycle.predicted.times[-1]) - 0.1, elsewhere, 0.0, None, uncertainty())
         subject.decide(estimate, current if lost else cycle.commitment)
-        factors.append(subject._calibration.factor / before)
+        factors.append(subject.proposer.levels.bound.delta / before)
     assert factors[0] > 1.0
     assert factors[1] == 1.0

@@ -134,7 +134,7 @@ class _Refusing(CommandLoss):
 def test_another_plan_of_the_tree_is_proposed_if_the_best_one_leaves_no_room() -> None:
     proposer = Proposer(SOLVERS, PLANNER, 0, command_timeout=0.2)
     refusing = _Refusing(DIRT, 0.2, [])
-    proposer.loss = refusing
+    proposer.search.loss = refusing
     proposal = proposer.propose(0, start(), None)
     best, other = refusing.seen
     assert proposal.plan is other
@@ -206,7 +206,7 @@ def test_a_plan_that_leaves_no_room_is_driven_more_slowly() -> None:
     fastest = {}
     for limit in (0.3, 9.0):
         subject = replanner(model="mushr-drive", tracking=True, command_timeout=0.2, **settings)
-        subject._proposer.loss = _Slow(subject.dirt, 0.2, limit)
+        subject.proposer.search.loss = _Slow(subject.dirt, 0.2, limit)
         cycles = drive(subject, 3)
         assert not any(REASON in cycle.reason for cycle in cycles)
         assert cycles[1].kind is ReferenceKind.PLAN

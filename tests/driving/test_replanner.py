@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from support.replanner import FARSIGHTED, MARGIN, drive, mushr, replanner, start, turns
+from support.replanner import FARSIGHTED, MARGIN, drive, mushr, planner_settings, replanner, start, turns
 
 from kraft.driving.car_model import CarModel
 from kraft.driving.contingencies import emergency_reference
@@ -15,6 +15,7 @@ from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Geometric
 from kraft.driving.messages import Commitment, ContingencyOrigin, Cycle, Estimate, ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings
+from kraft.driving.prediction import ClosedLoopPredictor
 from kraft.driving.replanner import Replanner
 from kraft.driving.room import NEARBY, free_by
 from kraft.driving.solvers import Solvers
@@ -192,8 +193,9 @@ def between_boxes(gap: float) -> Replanner:
     """A replanner whose map has a box on either side of the start, `gap` m from the rear half of the vehicle."""
     x, y, aside = start()[0], start()[1], 0.5 * mushr().footprint.width + gap + 0.2
     boxes = tuple(box((x + side * aside, y - 0.15), (0.4, 0.4), 0.0) for side in (-1.0, 1.0))
-    subject = replanner(on_board="contingency", safety=Clearance(delta=0.1))
-    subject.set_solvers(subject._solvers.with_obstacles(boxes, subject._settings))
+    settings = {"on_board": "contingency", "safety": Clearance(delta=0.1)}
+    subject = replanner(**settings)  # type: ignore[arg-type]
+    subject.set_solvers(Solvers.of(turns(), mushr(), planner_settings(**settings), boxes))
     return subject
 
 
@@ -279,10 +281,10 @@ def test_looking_ahead_leaves_the_controller_as_it_is() -> None:
     subject = Replanner(Solvers.of(turns(), mushr(), planner), planner, controller, 0, period=1 / 30)
     reference = subject.step(Estimate(0.0, start(), 0.0), subject.begin(start())).reference
     untouched = make_controller(Geometric(kind="geometric"), CarModel(mushr()))
-    beside = start() + np.array([0.05, 0.1, 0.1, 0.3])
+    beside, predict = start() + np.array([0.05, 0.1, 0.1, 0.3]), ClosedLoopPredictor(subject.dirt, controller, 1 / 30)
     for k in range(5):
         estimate = Estimate(0.3 + k / 30, beside, 0.0)
-        subject._predict(beside, estimate.time, estimate.time + 1.0, Commitment(reference))
+        predict(beside, estimate.time, estimate.time + 1.0, Commitment(reference))
         np.testing.assert_array_equal(controller.command(estimate, reference), untouched.command(estimate, reference))
 
 

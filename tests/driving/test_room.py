@@ -6,12 +6,15 @@ import math
 
 import numpy as np
 import pytest
-from support.replanner import mushr, replanner, start
+from support.replanner import mushr, planner_settings, replanner, start, turns
 
 from kraft.driving.messages import ContingencyOrigin, Estimate
 from kraft.driving.method import CalibratedBound
+from kraft.driving.proposal import Proposal
 from kraft.driving.replanner import Replanner
 from kraft.driving.room import NEARBY, NEARER, ROOM, can_go_back, free_by, place_with_room, refusal
+from kraft.driving.solvers import Solvers
+from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import box
 from ompl_ext.plan import Plan
@@ -22,9 +25,10 @@ AHEAD = 0.5 * mushr().footprint.length + 0.2
 
 def before_a_box(gap: float, model: str = "mushr") -> Replanner:
     """A replanner whose map has a box `gap` m before the start."""
-    subject = replanner(model=model, on_board="contingency", bound=CalibratedBound())
+    settings = {"on_board": "contingency", "bound": CalibratedBound()}
+    subject = replanner(model=model, **settings)  # type: ignore[arg-type]
     obstacle = box((start()[0], start()[1] + AHEAD + gap), (0.4, 0.4), 0.0)
-    subject.set_solvers(subject._solvers.with_obstacles((obstacle,), subject._settings))
+    subject.set_solvers(Solvers.of(turns(), load_vehicle(model), planner_settings(**settings), (obstacle,)))
     return subject
 
 
@@ -85,7 +89,7 @@ def test_a_cornered_vehicle_that_cannot_reverse_stands() -> None:
     subject = before_a_box(0.012)
     begin = subject.begin(start())
     moved = place_with_room(subject.dirt, start())
-    subject._proposal = type(subject._proposal)(straight(moved, 0.015, math.pi / 2))
+    subject.proposal = Proposal(straight(moved, 0.015, math.pi / 2))
     cycle = subject.decide(Estimate(0.0, start(), 0.0), begin)
     assert cycle.contingency_origin is ContingencyOrigin.STANDING
     assert "nearer to an obstacle than the vehicle stands" in cycle.reason

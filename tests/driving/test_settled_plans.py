@@ -10,11 +10,12 @@ from operator import attrgetter
 
 import numpy as np
 import pytest
-from support.replanner import FARSIGHTED, drive, mushr, replanner, start
+from support.replanner import FARSIGHTED, drive, mushr, proposer, replanner, start
 
 from kraft.driving.messages import PlanLoss
 from kraft.driving.method import PlannerSettings
-from kraft.driving.proposer import Proposal, Proposer, _is_better
+from kraft.driving.proposal import Proposal
+from kraft.driving.proposer import Proposer
 from kraft.driving.remainder import Remainder, retain, start_with_best_corrections
 from kraft.driving.solvers import Solvers
 from kraft.driving.ways import goes_same_way
@@ -36,10 +37,6 @@ def boxes() -> Task:
     return load_scenario("boxes").task()
 
 
-def proposer(task: Task | None = None, seed: int = 0, **settings: object) -> Proposer:
-    return replanner(seed, task, **settings)._proposer  # type: ignore[arg-type]
-
-
 def proposed(subject: Proposer) -> Plan:
     plan = subject.propose(0, start(), None).plan
     assert plan is not None
@@ -52,7 +49,7 @@ def after_a_cycle(plan: Plan, moved: Floats | float = 0.0) -> Floats:
 
 
 def remainder_of(subject: Proposer, plan: Plan) -> Remainder:
-    remainder = subject._remainder(plan)
+    remainder = subject.search.query(1, plan.states[0], plan, 0.0).remainder
     assert remainder is not None
     return remainder
 
@@ -63,7 +60,9 @@ def test_a_plan_that_ends_with_the_cycle_up_to_rounding_has_no_remainder(retain:
     plan = proposed(subject).head(0.0)
     ends = 1.0 + 5e-10
     short = replace(plan, durations=np.array([ends]), cost=ends)
-    assert subject._grown_of(subject.dirt, short) is not None
+    subject.search.keep(subject.dirt, short)
+    assert subject.search.grown is not None
+    assert subject.search.grown.edges is None
     assert subject.propose(1, after_a_cycle(plan), short).plan is not None
 
 
@@ -126,7 +125,7 @@ def test_nothing_of_a_tree_is_retained_after_a_plan_of_another_proposal() -> Non
     plan = proposed(subject)
     subject.propose(1, after_a_cycle(plan), plan)
     assert remainder_of(subject, plan).edges is None
-    assert subject._remainder(None) is None
+    assert subject.search.query(2, start(), None, 0.0).remainder is None
 
 
 def test_from_a_state_that_differs_a_little_the_rest_is_corrected_to_end_where_it_was_to_end() -> None:
@@ -206,9 +205,9 @@ def test_another_way_is_refused_below_the_gain_and_taken_above_it() -> None:
     cheap, dear = two_ways()
     saved = dear.total_cost - cheap.total_cost
     for gain, refused in ((0.0, False), (0.9 * saved, False), (1.1 * saved, True)):
-        subject = proposer(boxes(), switch_gain=gain)
+        subject = proposer(task=boxes(), switch_gain=gain)
         dirt, kept = with_both(subject)
-        plan, was_refused = subject._choose(dirt, kept)
+        plan, was_refused = subject.search.choose(dirt, kept)
         assert plan is not None
         assert was_refused is refused
         assert plan.total_cost == pytest.approx((dear if refused else cheap).total_cost)
@@ -216,7 +215,7 @@ def test_another_way_is_refused_below_the_gain_and_taken_above_it() -> None:
 
 def test_a_plan_goes_the_same_way_as_itself_and_not_the_way_on_the_other_side_of_a_box() -> None:
     cheap, dear = two_ways()
-    dirt = proposer(boxes()).dirt
+    dirt = proposer(task=boxes()).dirt
     assert goes_same_way(dirt, cheap, cheap)
     assert not goes_same_way(dirt, cheap, dear)
     assert not goes_same_way(dirt, dear, cheap)
@@ -238,18 +237,43 @@ def test_without_the_margin_a_plan_is_better_if_it_saves_the_gain_or_alone_reach
     assert cheap.plan is not None
     assert dear.plan is not None
     saved = dear.plan.total_cost - cheap.plan.total_cost
-    assert _is_better(cheap, dear, 0.9 * saved)
-    assert not _is_better(cheap, dear, 1.1 * saved)
+    assert cheap.is_better_than(dear, 0.9 * saved)
+    assert not cheap.is_better_than(dear, 1.1 * saved)
     short = replace(dear, plan=replace(dear.plan, reaches_goal=False))
-    assert _is_better(cheap, short, 1.1 * saved)
-    assert not _is_better(replace(cheap, plan=None), dear, 0.9 * saved)
+    assert cheap.is_better_than(short, 1.1 * saved)
+    assert not replace(cheap, plan=None).is_better_than(dear, 0.9 * saved)
 
 
-def test_the_solver_of_a_lost_remainder_is_asked_only_if_a_gain_is_required_and_the_plan_costs_more() -> None:
-    cheap, dear = two_ways()
-    remainder, lost = Remainder(cheap, 0.0), Proposal(dear, lost=PlanLoss.COLLISION)
-    costly = replace(lost, plan=replace(dear, cost=dear.cost + 1.0))
-    assert proposer(switch_gain=1.0)._is_worse(costly, remainder)
-    assert not proposer()._is_worse(costly, remainder)
-    assert not proposer(switch_gain=1.0)._is_worse(replace(costly, lost=PlanLoss.NONE), remainder)
-    assert not proposer(switch_gain=1.0)._is_worse(costly, None)
+@pytest.mark.parametrize(
+    ("gain", "lost", "dearer", "asked"),
+    [
+        (1.0, PlanLoss.COLLISION, 1.0, True),
+        (0.0, PlanLoss.COLLISION, 1.0, False),
+        (1.0, PlanLoss.NONE, 1.0, False),
+        (1.0, PlanLoss.COLLISION, 0.0, False),
+    ],
+)
+def test_the_solver_of_a_lost_remainder_is_asked_only_if_a_gain_is_required_and_the_plan_costs_more(
+    monkeypatch: pytest.MonkeyPatch, gain: float, lost: PlanLoss, dearer: float, asked: bool
+) -> None:
+    """The last plan is that of the solver without margin, and the one with the margin finds another one."""
+    plan, _ = two_ways()
+    subject, tried = proposer(task=boxes(), switch_gain=gain, margin=0.03), list[DirtSolver]()
+    subject.search.keep(subject.dirt, plan)
+
+    def run(_: object, dirt: DirtSolver, *__: object) -> Proposal:
+        tried.append(dirt)
+        return Proposal(replace(plan, cost=plan.cost - 1.0 + dearer), lost=lost)  # the cycle is 1 s of the plan
+
+    monkeypatch.setattr(subject.search, "run", run)
+    subject.propose(1, start_state(boxes(), mushr()), plan)
+    both = subject.search.solvers
+    assert tried == ([both.planning, both.checking] if asked else [both.planning])
+
+
+def test_without_a_remainder_the_first_solver_that_finds_a_plan_is_the_only_one() -> None:
+    subject = proposer(task=boxes(), switch_gain=1.0, margin=0.03)
+    plan = subject.propose(0, start_state(boxes(), mushr()), None).plan
+    assert plan is not None
+    assert subject.search.grown is not None
+    assert subject.search.grown.dirt is subject.search.solvers.planning

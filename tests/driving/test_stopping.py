@@ -103,7 +103,7 @@ def test_a_plan_becomes_a_reference_with_the_control_of_each_step() -> None:
 def test_a_plan_that_ends_in_its_cycle_is_followed_by_its_contingency_and_a_longer_one_is_not() -> None:
     subject = replanner(safety=MARGIN)
     subject.begin(np.array([1.0, 4.5, math.pi / 2, 0.3]))
-    plan = subject._proposal.plan
+    plan = subject.proposal.plan
     assert plan is not None
     assert plan.contingency is not None
     assert plan.reaches_goal

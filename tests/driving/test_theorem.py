@@ -55,9 +55,9 @@ def test_without_the_check_before_a_cycle_the_hostile_world_hits(monkeypatch: py
         from kraft.driving.references import plan_reference
         from kraft.driving.replanner import Decision
 
-        plan = self._proposal.plan
+        plan = self.proposal.plan
         if plan is None:
-            return self._choose_contingency(root, begins, current, self._proposal.reason)
+            return self._choose_contingency(root, begins, current, self.proposal.reason)
         reference = plan_reference(self.dirt.vehicle, plan, begins)
         return Decision(reference, self._predict(root, begins, begins + 1.0, Commitment(reference)), "", plan)
 

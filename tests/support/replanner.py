@@ -14,7 +14,8 @@ from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Kinodynamic, OpenLoop
 from kraft.driving.messages import Cycle, Estimate, Uncertainty
 from kraft.driving.method import Clearance, PlannerSettings
-from kraft.driving.proposer import Proposal, Proposer
+from kraft.driving.proposal import Proposal
+from kraft.driving.proposer import Proposer
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
 from kraft.planning.workspace import start_state
@@ -38,6 +39,15 @@ def mushr() -> Vehicle:
     return load_vehicle("mushr")
 
 
+def planner_settings(**settings: object) -> PlannerSettings:
+    return PlannerSettings(**{"mode": "replanning", "iterations": 300, "lead": 0.1, **settings})  # type: ignore[arg-type]
+
+
+def proposer(seed: int = 0, task: Task | None = None, realtime: bool = False, **settings: object) -> Proposer:
+    planner = planner_settings(**settings)
+    return Proposer(Solvers.of(task or turns(), mushr(), planner), planner, seed, realtime=realtime)
+
+
 def replanner(
     seed: int = 0,
     task: Task | None = None,
@@ -48,7 +58,7 @@ def replanner(
     realtime: bool = False,
     **settings: object,
 ) -> Replanner:
-    planner = PlannerSettings(**{"mode": "replanning", "iterations": 300, "lead": 0.1, **settings})  # type: ignore[arg-type]
+    planner = planner_settings(**settings)
     kind = Kinodynamic(kind="kinodynamic") if tracking else OpenLoop(kind="open_loop")
     vehicle = load_vehicle(model)
     controller = make_controller(kind, CarModel(vehicle))
@@ -62,12 +72,12 @@ def start() -> Floats:
     return start_state(turns(), mushr())
 
 
-def proposals(subject: Replanner, *bounds: DeviationBound) -> Iterator[Proposal]:
+def proposals(subject: Proposer, *bounds: DeviationBound) -> Iterator[Proposal]:
     """Proposals with a bound each, from the start of Turns and then from where each plan leads in a cycle."""
     root, plan = start(), None
     for number, bound in enumerate(bounds):
-        subject._proposer.set_bound(bound)
-        proposal = subject._proposer.propose(number, root, plan)
+        subject.set_bound(bound)
+        proposal = subject.propose(number, root, plan)
         yield proposal
         plan = proposal.plan
         assert plan is not None
@@ -76,8 +86,7 @@ def proposals(subject: Replanner, *bounds: DeviationBound) -> Iterator[Proposal]
 
 def share_kept(subject: Proposer) -> float:
     """Share of the bound that the last plan keeps."""
-    levels = subject._levels
-    return levels.all[levels.kept].share
+    return subject.levels.all[subject.levels.kept].share
 
 
 def drive(
