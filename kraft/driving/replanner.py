@@ -17,7 +17,8 @@ import numpy as np
 from kraft.driving.blockage import Blockage
 from kraft.driving.bound import BoundCalibration, DeviationBound
 from kraft.driving.car_model import model_of
-from kraft.driving.contingencies import Begin, ContingencyRanking, TrackedContingency, emergency_reference
+from kraft.driving.contingencies import ContingencyRanking, TrackedContingency, emergency_reference
+from kraft.driving.contingency_candidates import Begin
 from kraft.driving.control import Controller, set_map
 from kraft.driving.messages import (  # fmt: skip
     Commitment,

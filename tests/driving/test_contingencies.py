@@ -10,11 +10,13 @@ import pytest
 from support.replanner import FARSIGHTED, replanner, start
 
 from kraft.driving import contingencies
-from kraft.driving.contingencies import Begin, ContingencyRanking, TrackedContingency
+from kraft.driving.car_model import CarModel
+from kraft.driving.contingencies import ContingencyRanking, TrackedContingency
+from kraft.driving.contingency_candidates import Begin
 from kraft.driving.control import Controller, KinodynamicController, make_controller
-from kraft.driving.control_settings import Dwa
+from kraft.driving.control_settings import Dwa, Kinodynamic
 from kraft.driving.messages import Commitment, ContingencyOrigin, Estimate, Reference, ReferenceKind
-from kraft.driving.prediction import required_clearance
+from kraft.driving.prediction import ClosedLoopPredictor, required_clearance
 from kraft.driving.references import contingency_reference, plan_reference
 from kraft.driving.replanner import Replanner
 from ompl_ext.arrays import Floats
@@ -33,17 +35,23 @@ def subject(**settings: object) -> Replanner:
     return found
 
 
+def predictor(found: Replanner, controller: Controller | None = None) -> ClosedLoopPredictor:
+    """Predictor of the replanner's controller, or of another one."""
+    model = CarModel(found.dirt.vehicle)
+    law = make_controller(Kinodynamic(kind="kinodynamic"), model) if controller is None else controller
+    return ClosedLoopPredictor(found.dirt, law, 1 / 30)
+
+
 def ranking(found: Replanner) -> ContingencyRanking:
-    assert found._ranking is not None
-    return found._ranking
+    return ContingencyRanking(found.dirt, predictor(found), CarModel(found.dirt.vehicle))
 
 
 def all_tracked(
     found: Replanner, state: Floats, in_hand: Reference | None, plans: list[Reference]
 ) -> list[TrackedContingency]:
     each, begin = ranking(found), Begin(state, 2.0, 2.0)
-    candidates = [*each._immediate(begin, in_hand), *each._along(begin, plans)]
-    return [each._track(begin, one.reference(), one.origin) for one in candidates]
+    candidates = [*each.candidates.immediate(begin, in_hand), *each.candidates.along(begin, plans)]
+    return [each.track(begin, one.reference(), one.origin) for one in candidates]
 
 
 def plan_from(found: Replanner, state: Floats) -> Reference | None:
@@ -83,11 +91,11 @@ class Uncompiled:
 @pytest.mark.parametrize("state", STATES)
 def test_the_compiled_closed_loop_is_that_of_the_controller_tick_by_tick(state: Floats) -> None:
     found = subject()
-    predict, plan = found._predict, plan_from(found, state)
+    predict, plan = predictor(found), plan_from(found, state)
     assert plan is not None
     assert isinstance(predict.controller, KinodynamicController)
     slowly = replace(predict, controller=Uncompiled(predict.controller))
-    contingency = next(ranking(found)._immediate(Begin(state, 2.3, 2.3), None)).reference()
+    contingency = next(ranking(found).candidates.immediate(Begin(state, 2.3, 2.3), None)).reference()
     for switch in (2.0, 2.11, 2.4, 3.0):
         one, other = (each(state, 2.0, 2.4, Commitment(plan, switch, contingency)) for each in (predict, slowly))
         assert one.controls is not None
@@ -103,10 +111,9 @@ def test_the_compiled_closed_loop_is_that_of_the_controller_tick_by_tick(state: 
 
 def test_the_contingency_of_a_predictive_controller_is_predicted_as_it_tracks_it_tick_by_tick() -> None:
     found, state = subject(), STATES[0]
-    assert found._model is not None
-    controller = make_controller(Dwa(kind="dwa"), found._model, found.dirt)
-    predict = replace(found._predict, controller=controller)
-    contingency = next(ranking(found)._immediate(Begin(state, 2.0, 2.0), None)).reference()
+    controller = make_controller(Dwa(kind="dwa"), CarModel(found.dirt.vehicle), found.dirt)
+    predict = predictor(found, controller)
+    contingency = next(ranking(found).candidates.immediate(Begin(state, 2.0, 2.0), None)).reference()
     one = predict.until_rest(state, 2.0, contingency, 2.0)
     other = replace(predict, controller=Uncompiled(controller)).until_rest(state, 2.0, contingency, 2.0)
     assert np.array_equal(one.states, other.states)
@@ -129,11 +136,11 @@ def test_what_is_verified_keeps_the_clearance_until_standstill() -> None:
 def test_the_clearance_of_a_contingency_grows_from_the_beginning_of_the_cycle_on(begun: float) -> None:
     """What is verified keeps the grown clearance, and a growth that leaves no room refuses it, as SAFETY does."""
     found, state = subject(), STATES[0]
-    contingency = next(ranking(found)._immediate(Begin(state, 2.0, 2.0), None)).reference()
+    contingency = next(ranking(found).candidates.immediate(Begin(state, 2.0, 2.0), None)).reference()
     slacks = []
     for growth in (0.0, 0.05, 0.3, 0.6):
         found.dirt.set_bound(0.02, 0.0, growth, 1.5)
-        motion = found._predict.until_rest(state, 2.0, contingency, 2.0 - begun)
+        motion = predictor(found).until_rest(state, 2.0, contingency, 2.0 - begun)
         exact = found.dirt.exact.distances(motion.states[:, :3])
         required = 0.02 + growth * np.minimum(motion.times - 2.0 + begun, 1.5)
         slacks.append(motion.slack)
@@ -147,7 +154,7 @@ def test_a_path_without_length_is_not_followed_at_low_speed() -> None:
     found, state = subject(), STATES[0]
     times = np.linspace(2.0, 3.0, 5)
     turning = Reference(ReferenceKind.PLAN, times, np.tile(state, (5, 1)), np.zeros((4, 2)), np.zeros(2))
-    assert ranking(found)._creeping(state, 2.0, turning) is None
+    assert ranking(found).candidates.creeping(state, 2.0, turning) is None
 
 
 def test_a_plan_that_leads_past_an_obstacle_is_followed_before_the_vehicle_stops() -> None:
@@ -170,7 +177,7 @@ def test_following_a_plan_and_creeping_are_candidates_that_begin_where_the_vehic
     state = np.array([1.6, -0.3, 1.57, 0.5])
     plan = plan_from(found, state)
     assert plan is not None
-    candidates = list(ranking(found)._along(Begin(state, 2.0, 2.0), [plan]))
+    candidates = list(ranking(found).candidates.along(Begin(state, 2.0, 2.0), [plan]))
     assert {one.origin for one in candidates} == {ContingencyOrigin.PLAN_THEN_STOP, ContingencyOrigin.CREEPING}
     for one in candidates:
         reference = one.reference()
@@ -186,7 +193,7 @@ def test_following_a_plan_and_creeping_are_candidates_that_begin_where_the_vehic
         assert reference.stop is not None
         assert 2.0 < reference.stop.begin < reference.end
     standing = np.array([1.6, -0.3, 1.57, 0.0])
-    assert list(ranking(found)._along(Begin(standing, 2.0, 2.0), [plan])) == []
+    assert list(ranking(found).candidates.along(Begin(standing, 2.0, 2.0), [plan])) == []
 
 
 def test_the_contingency_in_hand_is_kept_where_nothing_else_is_safe() -> None:
