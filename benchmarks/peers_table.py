@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, partial, reduce
+from operator import or_
 
 import numpy as np
 
@@ -13,11 +14,11 @@ from benchmarks.claims import PAPER, SAFETY, Claim
 from benchmarks.effort import Effort
 from benchmarks.parallel import each, interval
 from benchmarks.report import Report, Row, Target, number, row
-from kraft.driving.control import kernel_modules, needs_steps
 from kraft.driving.method import Method, load_method
+from kraft.driving.needs import needs_of
 from kraft.evaluation.statistics import SIGNIFICANT
 from kraft.evaluation.suite import Entry, load_suite
-from kraft.planning.compilation import ensure_compiled
+from kraft.planning.compilation import ensure_all_compiled, ensure_compiled
 from kraft.planning.workspace import goal_of, settings_of, start_state, workspace_of
 from kraft.scenario import load_scenario
 from kraft.trial.result import Outcome, TrialSpec
@@ -99,7 +100,8 @@ def compile_all() -> None:
     for case in cases():
         method = case.load()
         vehicle = load_vehicle(method.planner.vehicle or "mushr")
-        ensure_compiled(vehicle, print, steps=needs_steps(method, vehicle), modules=kernel_modules(method))
+        needs = [needs_of(method, vehicle, entry.scenario.goal) for entry in entries()]
+        ensure_all_compiled([reduce(or_, needs)], print)
 
 
 def drive(k: int, seeds: int) -> Drive:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from kraft.config.document import frozen
-from kraft.driving.control import kernel_modules, needs_poses, needs_steps
+from kraft.driving.needs import needs_of
 from kraft.errors import Code, Diagnostic, Problems, Unreachable, out_of_range
 from kraft.evaluation.cluster import Cluster
 from kraft.evaluation.experiment import METHODS, SUITE, TRIALS, Experiment, MethodLike, experiment_of
@@ -197,17 +197,13 @@ def _warnings(experiment: Experiment) -> Iterator[str]:
 def _ensure_compiled(experiment: Experiment, log: MessageSink) -> None:
     """Compile what the trials need once here, not by every worker during a trial."""
     experiment.check_available()
-    needs = []
-    for reference in dict.fromkeys(cell.reference for cell in experiment.cells):
-        cells = [cell for cell in experiment.cells if cell.reference == reference]
-        vehicle = cells[0].vehicle
-        steps = any(needs_steps(cell.method, vehicle) for cell in cells)
-        heading = any(cell.scenario.goal.heading is not None for cell in cells)
-        polish = any(cell.method.planner.polish for cell in cells)
-        modules = sorted({name for cell in cells for name in kernel_modules(cell.method)})
-        poses = any(needs_poses(cell.method) for cell in cells)
-        needs.append(Needs(vehicle, steps, heading, polish, modules, poses))
-    ensure_all_compiled(needs, log)
+    needs: dict[str, Needs] = {}
+    for cell in experiment.cells:
+        before = needs.get(cell.reference)
+        vehicle = cell.vehicle if before is None else before.vehicle
+        found = needs_of(cell.method, vehicle, cell.scenario.goal)
+        needs[cell.reference] = found if before is None else before | found
+    ensure_all_compiled(needs.values(), log)
 
 
 def _least_times(experiment: Experiment) -> dict[str, float]:

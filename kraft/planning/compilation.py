@@ -17,7 +17,7 @@ import numpy as np
 
 from kraft.elapsed import elapsed_time
 from kraft.planning.feasibility import needs_motions
-from kraft.scenario import Task
+from kraft.scenario import Goal, Task
 from kraft.text import MessageSink
 from ompl_ext.arrays import Matrix32
 from ompl_ext.exact import ExactClearance
@@ -48,7 +48,7 @@ from ompl_ext.kernels.specialise import (
 from ompl_ext.kernels.stopping import stop_controls
 from ompl_ext.kernels.tracking import tracking
 from ompl_ext.obstacles import OccupancyGrid, Workspace, box
-from ompl_ext.query import Goal
+from ompl_ext.query import Goal as GoalRegion
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Footprint, Vehicle
 
@@ -64,14 +64,30 @@ OPTIONAL: Final = {"rollouts": "the rollouts", "sst": "the planner sst"}
 
 @dataclass(frozen=True)
 class Needs:
-    """What is needed of a vehicle: its planner, and what `ensure_compiled` names."""
+    """What is needed of a vehicle: its planner, and what `ensure_compiled` names.
+
+    The needs of several methods, or of a method and a goal, are joined with ``|``.
+    """
 
     vehicle: Vehicle
     steps: bool = False
-    heading: bool = False
     polish: bool = False
-    modules: Sequence[str] = ()
+    modules: tuple[str, ...] = ()
     poses: bool = False
+
+    @classmethod
+    def of_goal(cls, vehicle: Vehicle, goal: Goal) -> Needs:
+        """What any planner needs of a goal: with a heading, the cost-to-go of poses and the local optimisation."""
+        has_heading = goal.heading is not None
+        return cls(vehicle, polish=has_heading, poses=has_heading)
+
+    def __or__(self, other: Needs) -> Needs:
+        """What is needed of the same vehicle by one or the other."""
+        assert self.vehicle is other.vehicle, "the needs are of one vehicle"
+        modules = tuple(dict.fromkeys([*self.modules, *other.modules]))
+        return Needs(
+            self.vehicle, self.steps or other.steps, self.polish or other.polish, modules, self.poses or other.poses
+        )
 
 
 def ensure_compiled(
@@ -79,7 +95,6 @@ def ensure_compiled(
     report: MessageSink,
     *,
     steps: bool = False,
-    heading: bool = False,
     polish: bool = False,
     modules: Sequence[str] = (),
     poses: bool = False,
@@ -88,10 +103,9 @@ def ensure_compiled(
 
     With `steps`, compile what identification and the LQR need too, the steps of the model and the elimination of the
     graph: they would compile while the vehicle drives.  With `polish`, compile the local optimisation of plans; with
-    `poses`, the cost-to-go of poses; with `heading`, all that goals with a heading need, these among it.  `modules`
-    names kernels that few methods use, see `optional_module`.
+    `poses`, the cost-to-go of poses.  `modules` names kernels that few methods use, see `optional_module`.
     """
-    ensure_all_compiled([Needs(vehicle, steps, heading, polish, modules, poses)], report)
+    ensure_all_compiled([Needs(vehicle, steps, polish, tuple(modules), poses)], report)
 
 
 def ensure_all_compiled(needs: Iterable[Needs], report: MessageSink) -> None:
@@ -138,7 +152,7 @@ def _missing(needs: Needs, with_planner: bool) -> dict[str, Callable[[], object]
 
     `with_planner` is whether the planner itself is compiled with the vehicle's model.
     """
-    vehicle, polish = needs.vehicle, needs.polish or needs.heading
+    vehicle = needs.vehicle
     parts: dict[str, Callable[[], object]] = {}
     if not is_cached(vehicle):
         planner = "the planner and " if with_planner else ""
@@ -149,12 +163,12 @@ def _missing(needs: Needs, with_planner: bool) -> dict[str, Callable[[], object]
         parts[f"the steps of the model of {vehicle.name}"] = partial(step_kernels, vehicle)
     if needs.steps and not _is_identification_cached():
         parts["the identification and the pose filter"] = partial(_compile_identification, vehicle)
-    if polish and not is_polish_cached(vehicle):
+    if needs.polish and not is_polish_cached(vehicle):
         parts[f"the local optimisation for {vehicle.name}"] = partial(polish_kernels, vehicle)
     for name in needs.modules:
         if not is_module_cached(vehicle, name):
             parts[f"{OPTIONAL[name]} for {vehicle.name}"] = partial(optional_module, vehicle, name)
-    if (needs.heading or needs.poses) and not is_marked(_marker(POSES)):
+    if needs.poses and not is_marked(_marker(POSES)):
         parts["the cost-to-go of poses"] = compile_poses
     return parts
 
@@ -188,7 +202,7 @@ def _exercise(vehicle: Vehicle) -> None:
                 time.sleep(POLL)
         side = 4 * vehicle.footprint.reach
         world = Workspace(((0.0, side), (0.0, side)), (box((side, side), (0.1, 0.1)),))
-        dirt = DirtSolver(vehicle, world, Goal((side / 2, side / 2), side / 4), capacity=1000)
+        dirt = DirtSolver(vehicle, world, GoalRegion((side / 2, side / 2), side / 4), capacity=1000)
         state = np.zeros(len(vehicle.state))
         state[[vehicle.index("x"), vehicle.index("y")]] = side / 2
         dirt.start(state)

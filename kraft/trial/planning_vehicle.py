@@ -137,15 +137,11 @@ def other_robot(scenario: Scenario, vehicle: Vehicle) -> str:
     """
     robot, source = natural_robot(vehicle)
     if scenario.truth.kind is not None:
-        robot = scenario.truth
+        robot, source = scenario.truth, scenario.source
     elif robot.car is not None and ("truth",) not in source.keys:
         return _by_default(vehicle)
-    outline = _simple_outline(robot, vehicle)
-    if outline is None:
-        from kraft.simulation.outline import outline_of  # loads the simulator
-
-        outline = outline_of(scenario, vehicle)
-    return "" if outline is None else _uncovered(outline, vehicle)
+    highest = max((obstacle.height for obstacle in scenario.obstacles), default=math.inf)
+    return stated_robot(robot, source, vehicle, highest)
 
 
 def own_robot(vehicle: Vehicle) -> str:
@@ -158,22 +154,23 @@ def own_robot(vehicle: Vehicle) -> str:
     return stated_robot(robot, source, vehicle) if ("truth",) in source.keys else ""
 
 
-def stated_robot(robot: RobotTruth, source: Source, vehicle: Vehicle) -> str:
-    """What to say of a robot that a vehicle's file states, or will state, beside a footprint that does not cover it.
+def stated_robot(robot: RobotTruth, source: Source, vehicle: Vehicle, highest: float = math.inf) -> str:
+    """What to say of a true robot that is stated, or will be, beside a footprint that does not cover it; else empty.
 
     Args:
         robot: the true robot, with absolute paths.
         source: where it is stated.
-        vehicle: vehicle with the footprint of that file.
+        vehicle: vehicle with the footprint.
+        highest: height of the highest obstacle that it may touch, m.
 
     Raises:
         InputError: if that robot does not load.
     """
     outline = _simple_outline(robot, vehicle)
     if outline is None:
-        from kraft.simulation.outline import stated_outline_of  # loads the simulator
+        from kraft.simulation.outline import outline_of  # loads the simulator
 
-        outline = stated_outline_of(robot, source, vehicle)
+        outline = outline_of(robot, source, vehicle, highest)
     return "" if outline is None else _uncovered(outline, vehicle)
 
 

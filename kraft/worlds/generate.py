@@ -224,13 +224,13 @@ def generate_worlds(
     problems = Problems()
     problems.found += [*out_of_range("count", count, 1, COUNT_MAX), *out_of_range("seed", seed, 0)]
     problems.found += _layout_problems(kind, density)
-    if vehicle is not None:
-        problems.of(lambda: resolved_argument(vehicle))
+    reference = None if vehicle is None else problems.of(lambda: resolved_argument(vehicle))
     problems.of(lambda: check_new_folder(out))
     problems.check()
     worlds: list[World] = []
     for each, number in _numbered(kind, seed, count):
-        worlds.append(generate(each, number, vehicle, density, log))
+        world = _first_that_counts(each, number, reference or _usual(each), density, log)
+        worlds.append(_with_remark(world, each, number, vehicle, density))
         log(finished(len(worlds), count, worlds[-1].name))
     description = f"{counted(count, 'world')}: kraft generate {kind} --seed {seed} --count {count}"
     return write_worlds(worlds, out, f"{kind}-{seed}", description)
@@ -267,7 +267,22 @@ def generate(
     Raises:
         InputError: if the vehicle cannot be loaded, or after many attempts no layout counts.
     """
-    reference = resolved_argument(vehicle) if vehicle else USUAL.get(kind, "mushr")
+    reference = resolved_argument(vehicle) if vehicle else _usual(kind)
+    return _with_remark(_first_that_counts(kind, seed, reference, density, log), kind, seed, vehicle, density)
+
+
+def _usual(kind: str) -> str:
+    """Vehicle of the worlds of a kind if none is given."""
+    return USUAL.get(kind, "mushr")
+
+
+def _with_remark(world: World, kind: str, seed: int, vehicle: str | None, density: float | None) -> World:
+    """A world with the command that repeats it; `vehicle` is as it was given."""
+    return replace(world, remark=f"Written by {_command(kind, seed, vehicle, density)}{world.remark}.")
+
+
+def _first_that_counts(kind: str, seed: int, reference: str, density: float | None, log: MessageSink) -> World:
+    """See `generate`; `reference` is the vehicle with its absolute path."""
     loaded = load_vehicle(reference)
     ensure_compiled(loaded, log)
     size = Size.of(loaded)
@@ -281,7 +296,7 @@ def generate(
             continue
         searches += 1
         if finds_plan(task, loaded, ITERATIONS):
-            return replace(world, remark=f"Written by {_command(kind, seed, vehicle, density)}{world.remark}.")
+            return world
         if searches == SEARCHES:
             break
     problem = f"{name}: none of {counted(attempt + 1, 'layout')} leaves {loaded.name} a way to the goal"

@@ -12,13 +12,13 @@ from typing import Any, Final, NamedTuple
 
 from kraft.config import bundled
 from kraft.config.overrides import parse_overrides
-from kraft.driving.control import kernel_modules, needs_poses, needs_steps
 from kraft.driving.messages import Cycle
 from kraft.driving.method import Method, load_method
+from kraft.driving.needs import needs_of
 from kraft.errors import Diagnostic, InputError, MissingError, Problems, out_of_range
 from kraft.evaluation.statistics import percentile, while_driving
 from kraft.files import check_new_folder, write_json
-from kraft.planning.compilation import ensure_compiled
+from kraft.planning.compilation import ensure_all_compiled
 from kraft.planning.feasibility import check_reachable
 from kraft.provenance import SIMULATION, plain, versions
 from kraft.robot.bag import check_bag
@@ -96,11 +96,7 @@ def drive_robot(request: DriveRequest, report: MessageSink, problem: MessageSink
     check_transport(spec.robot)
     for line in vehicle_details(spec.vehicle):
         detail(line)
-    steps, heading = needs_steps(spec.method, spec.vehicle), spec.task.goal.heading is not None
-    ensure_compiled(
-        spec.vehicle, report, steps=steps, heading=heading, polish=bool(spec.method.planner.polish),
-        modules=kernel_modules(spec.method), poses=needs_poses(spec.method),
-    )  # fmt: skip
+    ensure_all_compiled([needs_of(spec.method, spec.vehicle, spec.task.goal)], report)
     check_reachable(spec.task, spec.vehicle)
     if out is not None:
         out.mkdir(parents=True)

@@ -13,7 +13,7 @@ from typing import Any
 from kraft.config.overrides import Override, parse_overrides, plain_value
 from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.files import check_all
-from kraft.planning.compilation import ensure_compiled
+from kraft.planning.compilation import Needs, ensure_all_compiled
 from kraft.planning.feasibility import check_placement, memory_needed, needs_motions
 from kraft.planning.plan import PlanResult, budget_of, plan_task
 from kraft.planning.plan_file import NAME, Origin, check_plan_target, read_plan_file, write_plan
@@ -127,8 +127,9 @@ def run_plan(request: PlanRequest, report: MessageSink, detail: MessageSink = no
     _report_inputs(detail, request, task, vehicle)
     timer.report("loaded and checked")
     polish = task.planning.polish and task.planning.planner == "dirt"
-    modules = ["sst"] if task.planning.planner == "sst" else []
-    ensure_compiled(vehicle, report, heading=task.goal.heading is not None, polish=polish, modules=modules)
+    modules = ("sst",) if task.planning.planner == "sst" else ()
+    needs = Needs(vehicle, polish=bool(polish), modules=modules) | Needs.of_goal(vehicle, task.goal)
+    ensure_all_compiled([needs], report)
     for warning in (unstated_outside(task), faster_than_stated(vehicle)):
         if warning:
             report(f"warning: {warning}")

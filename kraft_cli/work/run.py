@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 
 from kraft.config.overrides import parse_overrides, value_text
-from kraft.driving.control import kernel_modules, needs_poses, needs_steps, settings_for
+from kraft.driving.control import settings_for
 from kraft.driving.messages import Cycle
+from kraft.driving.needs import needs_of
 from kraft.errors import InputError, Problems
 from kraft.evaluation.experiment import Cell, Experiment, experiment_of
 from kraft.evaluation.statistics import percentile, while_driving
 from kraft.evaluation.summary import measures_json
 from kraft.files import check_new_folder
-from kraft.planning.compilation import ensure_compiled
+from kraft.planning.compilation import ensure_all_compiled
 from kraft.planning.feasibility import check_reachable
 from kraft.planning.stated_speed import faster_than_stated
 from kraft.scenario import Scenario
@@ -84,11 +85,7 @@ def run_scenario(
     _log_details(detail, cell)
     experiment.check_available()
     timer.report("loaded and checked")
-    steps, heading = needs_steps(cell.method, cell.vehicle), cell.scenario.goal.heading is not None
-    ensure_compiled(
-        cell.vehicle, report, steps=steps, heading=heading, polish=bool(cell.method.planner.polish),
-        modules=kernel_modules(cell.method), poses=needs_poses(cell.method),
-    )  # fmt: skip
+    ensure_all_compiled([needs_of(cell.method, cell.vehicle, cell.scenario.goal)], report)
     check_reachable(cell.scenario.task(), cell.vehicle)
     from kraft.trial.trial import run_trial  # loads the simulator
 

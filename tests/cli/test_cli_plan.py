@@ -280,7 +280,7 @@ def test_what_needs_no_kernel_is_checked_before_anything_is_compiled(
 
     assert main(["plan", "room.yaml", "--out", "p"]) == 0
     capsys.readouterr()
-    monkeypatch.setattr("kraft_cli.work.plan.ensure_compiled", compiled)
+    monkeypatch.setattr("kraft_cli.work.plan.ensure_all_compiled", compiled)
     assert main(["plan", *arguments]) == 2
     assert capsys.readouterr().err.startswith(expected)
 

@@ -224,7 +224,7 @@ def test_a_missing_extra_is_told_before_anything_is_compiled(
         raise AssertionError("compiled before the packages were checked")
 
     monkeypatch.setitem(sys.modules, package, None)
-    for compilation in ("kraft_cli.work.run.ensure_compiled", "kraft.evaluation.evaluator.ensure_all_compiled"):
+    for compilation in ("kraft_cli.work.run.ensure_all_compiled", "kraft.evaluation.evaluator.ensure_all_compiled"):
         monkeypatch.setattr(compilation, compiled)
     options = [option.replace("--method", "--methods" if command == "eval" else "--method") for option in options]
     assert main([command, "turns", *options]) == 3
@@ -242,7 +242,7 @@ def test_what_the_method_plans_with_is_compiled_before_the_drive(
         needs.extend(found)
         raise InputError.of("test", "ends here", "expected nothing")
 
-    monkeypatch.setattr("kraft.planning.compilation.ensure_all_compiled", compiled)
+    monkeypatch.setattr("kraft_cli.work.run.ensure_all_compiled", compiled)
     monkeypatch.setattr("kraft.evaluation.evaluator.ensure_all_compiled", compiled)
     assert main([command, "short.yaml", "--method" if command == "run" else "--methods", method]) == 2
     assert [each.poses for each in needs] == [poses]

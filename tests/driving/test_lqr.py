@@ -11,11 +11,12 @@ import pytest
 from support.diagnostics import raised
 
 from kraft.driving.car_model import CarModel, model_of
-from kraft.driving.control import LqrController, make_controller, needs_steps, settings_for
+from kraft.driving.control import LqrController, make_controller, settings_for
 from kraft.driving.control.lqr import check_controllable
 from kraft.driving.control_settings import Geometric, Kinodynamic, Lqr, OpenLoop
 from kraft.driving.messages import Estimate, Reference, ReferenceKind, Stop
 from kraft.driving.method import load_method
+from kraft.driving.needs import uses_steps
 from kraft.driving.vehicle_model import VehicleModel, stop_control
 from kraft.errors import Code
 from kraft.vehicles.load import load_vehicle
@@ -142,8 +143,8 @@ def test_a_law_for_cars_gives_way_to_the_lqr_for_another_vehicle_alone() -> None
 
 def test_the_steps_of_a_model_are_needed_to_regulate_and_to_identify() -> None:
     car, other = model("mushr-drive").vehicle, model("unicycle2").vehicle
-    assert [needs_steps(load_method("kraft"), vehicle) for vehicle in (car, other)] == [False, True]
-    assert needs_steps(load_method("adaptive-kraft"), car)
+    assert [uses_steps(load_method("kraft"), vehicle) for vehicle in (car, other)] == [False, True]
+    assert uses_steps(load_method("adaptive-kraft"), car)
 
 
 def weakened(parameter: str) -> Vehicle:

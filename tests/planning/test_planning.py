@@ -414,15 +414,27 @@ def test_the_cost_to_go_of_poses_is_compiled_for_methods_and_for_goals_that_need
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     vehicle, messages, compiled = load_vehicle("mushr"), list[str](), list[str]()
-    ensure_compiled(vehicle, lambda _: None, heading=True)
+    ensure_compiled(vehicle, lambda _: None, poses=True)
     monkeypatch.setattr("kraft.planning.compilation.is_marked", lambda marker: marker.name != "poses")
     monkeypatch.setattr("kraft.planning.compilation.compile_poses", lambda: compiled.append("poses"))
     ensure_compiled(vehicle, messages.append)
     assert (messages, compiled) == ([], [])
     ensure_compiled(vehicle, messages.append, poses=True)
-    ensure_compiled(vehicle, messages.append, heading=True)
-    assert compiled == ["poses", "poses"]
+    assert compiled == ["poses"]
     assert messages[0].startswith("compiling the cost-to-go of poses for this machine")
+
+
+def test_a_goal_with_a_heading_needs_the_cost_to_go_of_poses_and_the_local_optimisation() -> None:
+    vehicle, goal = load_vehicle("mushr"), load_scenario("turns").goal
+    assert Needs.of_goal(vehicle, goal) == Needs(vehicle)
+    assert Needs.of_goal(vehicle, load_scenario("parking").goal) == Needs(vehicle, polish=True, poses=True)
+
+
+def test_what_one_or_the_other_needs_is_needed() -> None:
+    vehicle = load_vehicle("mushr")
+    one, other = Needs(vehicle, steps=True, modules=("sst",)), Needs(vehicle, polish=True, modules=("rollouts", "sst"))
+    assert one | other == Needs(vehicle, steps=True, polish=True, modules=("sst", "rollouts"))
+    assert one | Needs(vehicle) == one
 
 
 def test_the_time_of_a_long_compilation_is_told_while_it_lasts(monkeypatch: pytest.MonkeyPatch) -> None:

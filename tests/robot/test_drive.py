@@ -269,7 +269,7 @@ def test_the_transport_within_a_process_serves_no_two_processes_which_is_known_b
     def compiled(*_: object, **__: object) -> None:
         raise AssertionError("compiled before the transport was checked")
 
-    monkeypatch.setattr("kraft_cli.work.drive.ensure_compiled", compiled)
+    monkeypatch.setattr("kraft_cli.work.drive.ensure_all_compiled", compiled)
     (tmp_path / "r.yaml").write_text(
         "name: r\ntransport: {kind: loopback}\npose: {topic: /p, type: nav_msgs/msg/Odometry}\ncommand: {topic: /d}\n",
         encoding="utf-8",
@@ -419,7 +419,7 @@ def test_what_is_driven_is_never_removed(
             (spec.folder / "cycles.jsonl").write_text("{}\n")
         raise error
 
-    for name, replacement in (("drive", driven), ("Display", Nothing), ("ensure_compiled", lambda *_, **__: None)):
+    for name, replacement in (("drive", driven), ("Display", Nothing), ("ensure_all_compiled", lambda *_, **__: None)):
         monkeypatch.setattr(work, name, replacement)
     request = work.DriveRequest("turns", "sim", out=tmp_path / "out")
     with pytest.raises(type(error), match=str(error)):

@@ -22,6 +22,7 @@ from kraft.scenario import Box, OccupancyMap, Trial, load_scenario
 from kraft.vehicles.load import load_vehicle
 from kraft.worlds import layouts
 from kraft.worlds.generate import ITERATIONS, KINDS, LARGE, LAYOUTS, MIXED, Size, generate, generate_worlds
+from kraft.worlds.world import resolved_argument
 from kraft_cli.main import main
 from ompl_ext.vehicle import Footprint, Vehicle
 
@@ -185,6 +186,19 @@ def test_what_cannot_be_generated_is_named(
     assert main(["generate", *options, "--out", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err.startswith(f"{subject}: ")
     assert not (tmp_path / "out").exists()
+
+
+def test_the_vehicle_of_all_worlds_is_resolved_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    resolved = list[str]()
+
+    def recorded(reference: str) -> str:
+        resolved.append(reference)
+        return resolved_argument(reference)
+
+    monkeypatch.setattr("kraft.worlds.generate.resolved_argument", recorded)
+    written = generate_worlds("posts", tmp_path / "out", count=3, vehicle="jackal")
+    assert len(written.scenarios) == 3
+    assert resolved == ["jackal"]
 
 
 def test_a_density_that_leaves_no_way_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,7 +25,7 @@ from kraft.driving.control_settings import (  # fmt: skip
     UserCode,
 )
 from kraft.driving.messages import Controller, Estimate, Reference, ReferenceKind
-from kraft.driving.method import Adaptive, Method
+from kraft.driving.method import Method
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, InputError
 from kraft.vehicles import is_car
@@ -44,11 +44,8 @@ __all__ = [
     "OpenLoopController",
     "UserController",
     "compiled_law",
-    "kernel_modules",
     "make_controller",
     "needs_map",
-    "needs_poses",
-    "needs_steps",
     "set_map",
     "settings_for",
     "tracking_law",
@@ -65,14 +62,6 @@ def settings_for(settings: ControllerSettings, vehicle: Vehicle) -> ControllerSe
     return settings
 
 
-def needs_steps(method: Method, vehicle: Vehicle) -> bool:
-    """Whether a method identifies or regulates a vehicle by its model, which takes the compiled steps of the model."""
-    own = method.controller
-    law = contingency_law(own) if isinstance(own, Predictive | UserCode) else own
-    simulates = isinstance(own, Nmpc) or isinstance(settings_for(law, vehicle), Lqr)
-    return simulates or isinstance(method.estimator, Adaptive)
-
-
 def needs_map(method: Method) -> bool:
     """Whether the controller of a method needs the map.
 
@@ -83,17 +72,6 @@ def needs_map(method: Method) -> bool:
     if isinstance(controller, UserCode):
         return controller.objective == "goal" or _at_its_line(method, lambda: uses_map(controller))
     return isinstance(controller, Predictive)
-
-
-def needs_poses(method: Method) -> bool:
-    """Whether a method plans with the cost-to-go of poses, whatever the goal."""
-    return method.planner.cost_to_go == "pose"
-
-
-def kernel_modules(method: Method) -> tuple[str, ...]:
-    """Kernels that a method uses beside those of every method, see `optional_module`."""
-    found = ["rollouts"] if isinstance(method.controller, Mppi | Dwa) else []
-    return (*found, *(["sst"] if method.planner.type == "sst" else []))
 
 
 def check_available(method: Method) -> None:
