@@ -19,7 +19,7 @@ from kraft.evaluation.job import Executor
 from kraft.evaluation.journal import Key, TrialRow
 from kraft.evaluation.processes import Processes, check_script
 from kraft.evaluation.report import CommandLine
-from kraft.evaluation.suite import ScenarioLike, Settings, Sweeps, entries_of
+from kraft.evaluation.suite import ScenarioLike, SettingsLike, Sweeps, entries_of
 from kraft.evaluation.summary import Summary, summarise
 from kraft.files import check_new_folder
 from kraft.planning.compilation import Needs, ensure_all_compiled
@@ -70,7 +70,7 @@ def evaluate(
     out: str | Path | None = None,
     *,
     suite: str | Path | None = None,
-    settings: Settings = (),
+    settings: SettingsLike = (),
     vary: Sweeps = (),
     vehicle: str | Path | None = None,
     resume: bool = False,
@@ -146,7 +146,7 @@ def check_arguments(
     out: str | Path | None,
     *,
     suite: str | Path | None = None,
-    settings: Settings = (),
+    settings: SettingsLike = (),
     vary: Sweeps = (),
     vehicle: str | Path | None = None,
     resume: bool = False,

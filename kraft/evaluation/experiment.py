@@ -16,7 +16,7 @@ from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, Problems, out_of_range
 from kraft.evaluation.job import Job
 from kraft.evaluation.paper import is_of_paper
-from kraft.evaluation.suite import Entry, ScenarioLike, Settings, Sweeps, entries_of, list_problems, repeated_names
+from kraft.evaluation.suite import Entry, ScenarioLike, SettingsLike, Sweeps, entries_of, list_problems, repeated_names
 from kraft.planning.compilation import ensure_compiled
 from kraft.planning.feasibility import check_placement, needs_motions
 from kraft.planning.workspace import start_state
@@ -114,7 +114,7 @@ def experiment_of(
     methods: Sequence[MethodLike],
     *,
     suite: str | Path | None = None,
-    settings: Settings = (),
+    settings: SettingsLike = (),
     vary: Sweeps = (),
     vehicle: str | Path | None = None,
     trials: int = TRIALS,

@@ -36,7 +36,7 @@ from kraft.scenario import Scenario, load_scenario
 
 EntryName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]{0,99}$")]
 ScenarioLike: TypeAlias = str | Path | Scenario
-Settings: TypeAlias = Mapping[str, Any] | Sequence[Override]
+SettingsLike: TypeAlias = Mapping[str, Any] | Sequence[Override]
 """Values of dotted keys."""
 Sweeps: TypeAlias = Mapping[str, Sequence[Any] | np.ndarray[Any, Any]] | Sequence[tuple[Override, ...]]
 """Several values for each dotted key."""
@@ -119,7 +119,7 @@ def entries_of(
     scenarios: Sequence[ScenarioLike],
     *,
     suite: str | Path | None = None,
-    settings: Settings = (),
+    settings: SettingsLike = (),
     vary: Sweeps = (),
 ) -> list[Entry]:
     """Entries of an evaluation.

@@ -42,7 +42,7 @@ MARGIN: Final = 0.25
 
 
 @dataclass(frozen=True)
-class Place:
+class RunStart:
     """Start of a run, and the time for which the manoeuvre is predicted to have the required clearance, s."""
 
     start: Start
@@ -62,18 +62,18 @@ class FreeSpace:
         """Distance of the footprint to the nearest obstacle or bound, m."""
         return self._exact.distance(x, y, theta)
 
-    def place(self, path: Matrix, generator: np.random.Generator) -> Place:
+    def place(self, path: Matrix, generator: np.random.Generator) -> RunStart:
         """Choose the start of a predicted path of poses (m, 3) from the origin, `PATH_STEP` apart."""
         travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
         required = MARGIN + MARGIN_PER_METRE * travelled
         (x0, x1), (y0, y1) = self._bounds.x, self._bounds.y
-        best = Place(Start(0.0, 0.0, 0.0), -1.0)
+        best = RunStart(Start(0.0, 0.0, 0.0), -1.0)
         for _ in range(CANDIDATES):
             x, y, heading = map(float, generator.uniform((x0, y0, -math.pi), (x1, y1, math.pi)))
             start = Start(x, y, heading)
             time = self._free_time(moved(path, start), required, best.time)
             if time > best.time:
-                best = Place(start, time)
+                best = RunStart(start, time)
             if time >= PATH_STEP * (len(path) - 1):
                 break
         return best
@@ -134,7 +134,7 @@ class Recording:
 
     number: int
     manoeuvre: Manoeuvre
-    place: Place
+    place: RunStart
     vehicle: RecordedVehicle
     controls: tuple[str, ...]
     commands: Matrix
@@ -169,14 +169,14 @@ class Recorder:
         """Keys of the manifests that are the same for all runs; `arguments` are those of the user."""
         return _common(self._scenario, arguments, self._vehicle, tuple(self._model.vehicle.controls))
 
-    def place(self, number: int, path: Matrix) -> Place:
+    def place(self, number: int, path: Matrix) -> RunStart:
         """Start of run `number` if it is to drive a path of poses (m, 3) from the origin, `PATH_STEP` apart."""
         return self._free_space.place(path, self._generator(number))
 
     def _generator(self, number: int) -> np.random.Generator:
         return np.random.Generator(np.random.PCG64(np.random.SeedSequence([self._seed, number, 0x10C5])))
 
-    def record(self, number: int, commanded: Manoeuvre | None = None, place: Place | None = None) -> Recording:
+    def record(self, number: int, commanded: Manoeuvre | None = None, place: RunStart | None = None) -> Recording:
         """Drive run `number`, from 1.
 
         Args:
@@ -214,7 +214,7 @@ class _Run:
     """Run in progress."""
 
     def __init__(
-        self, plant: Plant, free_space: FreeSpace, commanded: Manoeuvre, place: Place, vehicle: RecordedVehicle
+        self, plant: Plant, free_space: FreeSpace, commanded: Manoeuvre, place: RunStart, vehicle: RecordedVehicle
     ) -> None:
         self._plant, self._world, self._free_space = plant, plant.world, free_space
         self._manoeuvre, self._place, self._vehicle = commanded, place, vehicle

@@ -19,16 +19,17 @@ from kraft.driving.estimation.adaptive import Learned
 from kraft.driving.messages import Commitment, Estimate, Observation, ReferenceKind
 from kraft.robot.arrival import Arrival
 from kraft.robot.decision_requests import DecisionRequests
+from kraft.robot.drive_tables import DriveTables
 from kraft.robot.guard import SILENCE
 from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
-from kraft.robot.journal import Journal
 from kraft.robot.link import Link
 from kraft.robot.peers import PeerWatch
 from kraft.robot.poses import Clocks
 from kraft.robot.priority import shorten_collections
 from kraft.robot.protocol import (
     Beat,
+    DecisionRequest,
     DriveSpec,
     Ended,
     Guarded,
@@ -36,7 +37,6 @@ from kraft.robot.protocol import (
     Halting,
     Mailbox,
     Planned,
-    PlanRequest,
     Reconnected,
     Sense,
     Status,
@@ -77,10 +77,10 @@ class Control:
 
     def __init__(
         self, spec: DriveSpec, transport: Transport, inputs: Inputs, tasks: TaskInputs, mailbox: Mailbox,
-        guard: Mailbox, journal: Journal, tracker: Tracker, health: Health,
+        guard: Mailbox, tables: DriveTables, tracker: Tracker, health: Health,
     ) -> None:  # fmt: skip
         self._spec, self._transport, self._inputs, self._tasks = spec, transport, inputs, tasks
-        self._mailbox, self._guard, self._journal, self._tracker = mailbox, guard, journal, tracker
+        self._mailbox, self._guard, self._tables, self._tracker = mailbox, guard, tables, tracker
         self._health = health
         self._model, self._on_board = tracker.model, tracker.on_board
         self.period, self._cycle = spec.period, 0
@@ -134,7 +134,7 @@ class Control:
         self._event(self._ended_at, f"{outcome}: {reason}" if reason else outcome)
         refused = dict(self._tracker.poses.refused)
         return Ended(
-            outcome, reason, self._ended_at, measures, refused, self._stops, self._sensed(), self._journal.problem
+            outcome, reason, self._ended_at, measures, refused, self._stops, self._sensed(), self._tables.problem
         )
 
     @property
@@ -194,7 +194,7 @@ class Control:
         self._command(now, command, estimate)
         self._tell_guard(now, command, observations)
         if now >= 0.0:
-            self._journal.row(
+            self._tables.row(
                 "steps", f"{now:.6f}", *map(float, estimate.state), *map(float, command), self._cycle,
                 int(self._on_board.is_stopping), f"{estimate.age:.4f}", f"{late:.6f}",
                 f"{self._now - now:.6f}",
@@ -267,7 +267,7 @@ class Control:
         found = self._tracker.take_poses(now)
         self._observations += found
         for each in found:
-            self._journal.row("observations", *map(float, (each.time, each.arrival, each.x, each.y, each.theta)))
+            self._tables.row("observations", *map(float, (each.time, each.arrival, each.x, each.y, each.theta)))
         return found
 
     def _adopt(self, now: float) -> None:
@@ -330,7 +330,7 @@ class Control:
         if self._mailbox.closed or self._ending is not None or not self._requests.is_due(now):
             return
         number = self._requests.ask(now)
-        self._mailbox.send(PlanRequest(now, number, self._sensed(), self._on_board.commitment))
+        self._mailbox.send(DecisionRequest(now, number, self._sensed(), self._on_board.commitment))
 
     def _take_task(self, now: float) -> None:
         """Hand a new goal or map to the planner at once: it gets ready for it before it decides the next time."""
@@ -359,9 +359,9 @@ class Control:
         if now >= self._next_status and not self._mailbox.closed:
             self._next_status = now + STATUS_PERIOD
             self._mailbox.send(Status(now, estimate.age, self._late, self._missed))
-            if self._journal.problem and not self._is_unwritten:
+            if self._tables.problem and not self._is_unwritten:
                 self._is_unwritten = True
-                self._event(now, f"the drive goes on, but {self._journal.problem}")
+                self._event(now, f"the drive goes on, but {self._tables.problem}")
 
     def _is_over(self, now: float, estimate: Estimate) -> bool:
         if self._ending is None:
@@ -399,7 +399,7 @@ class Control:
 
     def _event(self, now: float, text: str) -> None:
         """Write what happened, and tell it."""
-        self._journal.row("events", f"{now:.3f}", text)
+        self._tables.row("events", f"{now:.3f}", text)
         self._mailbox.send(Status(now, math.nan, self._late, self._missed, text))
 
     def _watch_peers(self) -> None:

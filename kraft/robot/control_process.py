@@ -12,12 +12,12 @@ from kraft.errors import KraftError
 from kraft.robot.checklist import Checklist
 from kraft.robot.connect import open_transport
 from kraft.robot.control import Control
+from kraft.robot.drive_tables import DriveTables, headings
 from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
-from kraft.robot.journal import Journal, headings
 from kraft.robot.peers import wait_for_another
 from kraft.robot.priority import leave_signals_to_planner, lock_memory, name_this_process, prefer_this_process
-from kraft.robot.protocol import Begin, DriveSpec, Ended, Mailbox, Ready, Released, StopOrder
+from kraft.robot.protocol import BeginOrder, DriveSpec, Ended, Mailbox, Ready, Released, StopOrder
 from kraft.robot.task_inputs import TaskInputs
 from kraft.robot.tracker import Tracker, warm_up
 from kraft.robot.transport import Transport
@@ -58,18 +58,18 @@ def run_control(
         if isinstance(order, StopOrder):
             ended = Ended("stopped" if mailbox.closed else "interrupted", order.reason, 0.0)
             mailbox.send(ended).wait(REPORT_TIME)
-        elif isinstance(order, Begin) and found.passed:
+        elif isinstance(order, BeginOrder) and found.passed:
             before = transport.peers(spec.robot.command.topic).publishers
             guard_mail.send(order)
             warm_up(spec)
             tracker = Tracker(spec, order, transport, inputs)
             _wait_for_guard(spec, transport, guard_mail, before)
             health = Health(spec.robot.watchdog, min(found.pose_rate, spec.robot.pose.rate_hz), spec.period)
-            with Journal(spec.folder, headings(spec.vehicle)) as journal:
-                ended = Control(spec, transport, inputs, tasks, mailbox, guard_mail, journal, tracker, health).run()
-                released = guard_mail.send(Released())  # before the journal is written, which may take long
+            with DriveTables(spec.folder, headings(spec.vehicle)) as tables:
+                ended = Control(spec, transport, inputs, tasks, mailbox, guard_mail, tables, tracker, health).run()
+                released = guard_mail.send(Released())  # before the tables are written, which may take long
             released.wait(1.0)
-            mailbox.send(replace(ended, unwritten=journal.problem)).wait(REPORT_TIME)
+            mailbox.send(replace(ended, unwritten=tables.problem)).wait(REPORT_TIME)
     finally:
         transport.close()
 

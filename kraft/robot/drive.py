@@ -22,17 +22,17 @@ from kraft.errors import Code, Diagnostic, InputError, KraftError
 from kraft.files import LineFile
 from kraft.robot.connect import check_transport
 from kraft.robot.control_process import run_control
+from kraft.robot.drive_tables import add_event
 from kraft.robot.guard import run_guard
-from kraft.robot.journal import add_event
 from kraft.robot.maps import run_maps
 from kraft.robot.planner import Planner
 from kraft.robot.priority import preferred_planner, process_context, short_collections, shorten_collections
 from kraft.robot.protocol import (
     Check,
     Checked,
+    DecisionRequest,
     DriveSpec,
     Ended,
-    PlanRequest,
     Sense,
     Status,
     StopOrder,
@@ -252,7 +252,7 @@ def _drive(
                 return DriveResult(checked, None)
             send(planner.begin(checked.pose, checked.map))
             shorten_collections()
-        elif isinstance(message, PlanRequest):
+        elif isinstance(message, DecisionRequest):
             answer, tree = planner.decide(message)
             send(answer)
             decisions.add(answer.cycle)

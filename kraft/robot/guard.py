@@ -18,8 +18,8 @@ from typing import Final
 
 from kraft.driving.messages import ReferenceKind
 from kraft.robot.connect import open_transport
+from kraft.robot.drive_tables import DriveTables
 from kraft.robot.inputs import Inputs
-from kraft.robot.journal import Journal
 from kraft.robot.priority import (
     leave_signals_to_planner,
     lock_memory,
@@ -29,7 +29,7 @@ from kraft.robot.priority import (
 )
 from kraft.robot.protocol import (
     Beat,
-    Begin,
+    BeginOrder,
     DriveSpec,
     Guarded,
     Guarding,
@@ -61,7 +61,7 @@ def run_guard(spec: DriveSpec, connection: Connection, others: Sequence[Connecti
     lock_memory()
     mailbox = Mailbox(connection, "the controller")
     begin = mailbox.wait()
-    if not isinstance(begin, Begin):
+    if not isinstance(begin, BeginOrder):
         return  # the check list failed
     warm_up(spec)
     transport = open_transport(spec.robot)
@@ -74,8 +74,8 @@ def run_guard(spec: DriveSpec, connection: Connection, others: Sequence[Connecti
         mailbox.send(Ready())
         headings = {"guard": ["time", *(f"estimate_{name}" for name in spec.vehicle.state),
                               *(f"command_{name}" for name in spec.vehicle.controls)]}  # fmt: skip
-        with Journal(spec.folder, headings) as journal:
-            Guard(spec.period, Tracker(spec, begin, transport, inputs), inputs, mailbox, journal).run()
+        with DriveTables(spec.folder, headings) as tables:
+            Guard(spec.period, Tracker(spec, begin, transport, inputs), inputs, mailbox, tables).run()
     finally:
         transport.close()
 
@@ -83,9 +83,9 @@ def run_guard(spec: DriveSpec, connection: Connection, others: Sequence[Connecti
 class Guard:
     """Watches the ticks of a controller, and drives when they stay away."""
 
-    def __init__(self, period: float, tracker: Tracker, inputs: Inputs, mailbox: Mailbox, journal: Journal) -> None:
+    def __init__(self, period: float, tracker: Tracker, inputs: Inputs, mailbox: Mailbox, tables: DriveTables) -> None:
         self._period, self._tracker, self._inputs = period, tracker, inputs
-        self._mailbox, self._journal = mailbox, journal
+        self._mailbox, self._tables = mailbox, tables
         self._since: float | None = None  # the beginning of its own driving
         self._stood = 0.0
         self._connections = tracker.connections
@@ -162,7 +162,7 @@ class Guard:
         tracker.publish(now, command)
         tracker.commanded(now, command)
         self._mailbox.send(Guarded(now, command))
-        self._journal.row("guard", f"{now:.6f}", *map(float, estimate.state), *map(float, command))
+        self._tables.row("guard", f"{now:.6f}", *map(float, estimate.state), *map(float, command))
         stands = now < 0.0 or (reference.kind is ReferenceKind.CONTINGENCY and now >= reference.end)
         self._stood = self._stood + self._period if stands else 0.0
         self._driven = now - self._since

@@ -21,10 +21,10 @@ from kraft.driving.solvers import Solvers
 from kraft.planning.feasibility import geodesic_time, goal_hit
 from kraft.robot.maps import with_map
 from kraft.robot.protocol import (
-    Begin,
+    BeginOrder,
+    DecisionRequest,
     DriveSpec,
     Planned,
-    PlanRequest,
     TaskChange,
     TaskTaken,
     moved_goal,
@@ -42,7 +42,7 @@ class Planner:
         self._task = spec.task
         self._replanner: Replanner | None = None
 
-    def begin(self, pose: tuple[float, float, float], grid: OccupancyMap | None = None) -> Begin:
+    def begin(self, pose: tuple[float, float, float], grid: OccupancyMap | None = None) -> BeginOrder:
         """Plan the first cycle from where the vehicle stands, around the robot's map too."""
         spec = self._spec
         self._task = changed(self._task, None, grid)
@@ -54,7 +54,7 @@ class Planner:
         self._solvers = Solvers.of(self._task, vehicle, method.planner)
         self._replanner = self._new_replanner()
         self._warm_up(state)
-        return Begin(state, self._replanner.begin(state, self._estimator.uncertainty(0.0)))
+        return BeginOrder(state, self._replanner.begin(state, self._estimator.uncertainty(0.0)))
 
     def _warm_up(self, state: Floats) -> None:
         """Decide and plan once in vain: the first time takes longer, because compiled functions are loaded."""
@@ -73,7 +73,7 @@ class Planner:
             command_timeout=spec.robot.command.timeout,
         )  # fmt: skip
 
-    def decide(self, request: PlanRequest) -> tuple[Planned, Any]:
+    def decide(self, request: DecisionRequest) -> tuple[Planned, Any]:
         """Answer a request, without the tree; and the tree."""
         assert self._replanner is not None, "it has begun"
         estimator, sense = self._estimator, request.sense

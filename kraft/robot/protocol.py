@@ -79,7 +79,7 @@ class Checked:
 
 
 @dataclass(frozen=True)
-class Begin:
+class BeginOrder:
     """Order to begin: the state (nx,) at the start, and what is on board first."""
 
     state: Floats
@@ -99,7 +99,7 @@ class Sense:
 
 
 @dataclass(frozen=True)
-class PlanRequest:
+class DecisionRequest:
     """Request for the commitment of cycle `number` at `time` (s): what was sensed since the last, what is on board."""
 
     time: float

@@ -22,7 +22,7 @@ from kraft.robot.command import CommandCodec
 from kraft.robot.inputs import Inputs
 from kraft.robot.messages import to_cdr
 from kraft.robot.poses import Clocks, PoseGuard
-from kraft.robot.protocol import Begin, DriveSpec
+from kraft.robot.protocol import BeginOrder, DriveSpec
 from kraft.robot.response import Response
 from kraft.robot.transport import Transport
 from ompl_ext.arrays import Floats
@@ -41,7 +41,7 @@ class Tracker:
     found, refused ones included.
     """
 
-    def __init__(self, spec: DriveSpec, begin: Begin, transport: Transport, inputs: Inputs) -> None:
+    def __init__(self, spec: DriveSpec, begin: BeginOrder, transport: Transport, inputs: Inputs) -> None:
         robot, method = spec.robot, spec.method
         assert not isinstance(method.estimator, Oracle), "no robot has it"
         self._spec, self._transport, self._inputs = spec, transport, inputs

@@ -12,7 +12,7 @@ import numpy as np
 from kraft.config.source import Place, Position
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.worlds.sdf import Shapes, read_sdf
-from kraft.worlds.world import SENSING, Goal, Imported, Start, World, above, plain_name
+from kraft.worlds.world import SENSING, Goal, Imported, ScenarioContent, Start, above, plain_name
 
 START: Final[Start] = (-2.25, 3.0, 90.0)
 GOAL: Final[Goal] = (-2.25, 13.0, 1.0)
@@ -70,7 +70,7 @@ def read_barn(path: Path, vehicle: str, start: Start | None, goal: Goal | None, 
             trial["score"] = {"label": LABEL, "optimal_time": round(optimal, 6)}
     here = Place(str(path), Position(shapes.line, shapes.column))
     name = path.name.removesuffix(".gz").rpartition(".")[0]
-    world = World(
+    world = ScenarioContent(
         name=plain_name(re.sub(r"^world_(?=\d+$)", "barn-", name)),
         remark=f"From {path.name}: {len(shapes.obstacles)} obstacles of a Gazebo world.",
         content={

@@ -15,7 +15,7 @@ from kraft.config.source import Place, Source
 from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import alternatives, counted
-from kraft.worlds.world import SENSING, Imported, World, above, plain_name
+from kraft.worlds.world import SENSING, Imported, ScenarioContent, above, plain_name
 
 VEHICLES: Final = {
     "unicycle1_v0": "kraft.vehicles.dynobench:UNICYCLE1_V0",
@@ -123,7 +123,7 @@ def read_dynobench(path: Path, vehicle: str | None, *, skip: bool = False) -> Im
     low, high = content.environment.min, content.environment.max
     bounds = {"x": [low[0], high[0]], "y": [low[1], high[1]]}
     skipped = Counter(each.type for each in content.environment.obstacles if each.type not in SHAPES)
-    world = World(
+    world = ScenarioContent(
         name=plain_name(content.name or path.stem),
         remark=f"From {path.name}, a problem of dynobench.",
         content={

@@ -27,7 +27,7 @@ from kraft.worlds import layouts
 from kraft.worlds.layouts import WALL, Obstacle, track
 from kraft.worlds.world import (
     SENSING,
-    World,
+    ScenarioContent,
     Written,
     above,
     finished,
@@ -227,7 +227,7 @@ def generate_worlds(
     reference = None if vehicle is None else problems.of(lambda: resolved_argument(vehicle))
     problems.of(lambda: check_new_folder(out))
     problems.check()
-    worlds: list[World] = []
+    worlds: list[ScenarioContent] = []
     for each, number in _numbered(kind, seed, count):
         world = _first_that_counts(each, number, reference or _usual(each), density, log)
         worlds.append(_with_remark(world, each, number, vehicle, density))
@@ -258,7 +258,7 @@ def _numbered(kind: str, seed: int, count: int) -> Iterator[tuple[str, int]]:
 
 def generate(
     kind: str, seed: int, vehicle: str | None = None, density: float | None = None, log: MessageSink = no_messages
-) -> World:
+) -> ScenarioContent:
     """Make the world of a kind and a seed: the first layout of the seed that counts.
 
     Its start is free, a path leads to its goal on which the footprint is free in every heading, and the planner finds a
@@ -276,12 +276,16 @@ def _usual(kind: str) -> str:
     return USUAL.get(kind, "mushr")
 
 
-def _with_remark(world: World, kind: str, seed: int, vehicle: str | None, density: float | None) -> World:
+def _with_remark(
+    world: ScenarioContent, kind: str, seed: int, vehicle: str | None, density: float | None
+) -> ScenarioContent:
     """A world with the command that repeats it; `vehicle` is as it was given."""
     return replace(world, remark=f"Written by {_command(kind, seed, vehicle, density)}{world.remark}.")
 
 
-def _first_that_counts(kind: str, seed: int, reference: str, density: float | None, log: MessageSink) -> World:
+def _first_that_counts(
+    kind: str, seed: int, reference: str, density: float | None, log: MessageSink
+) -> ScenarioContent:
     """See `generate`; `reference` is the vehicle with its absolute path."""
     loaded = load_vehicle(reference)
     ensure_compiled(loaded, log)
@@ -318,7 +322,7 @@ def _command(kind: str, seed: int, vehicle: str | None, density: float | None) -
     return shlex.join(words)
 
 
-def _world(kind: str, name: str, rng: np.random.Generator, size: Size, vehicle: str, density: float) -> World:
+def _world(kind: str, name: str, rng: np.random.Generator, size: Size, vehicle: str, density: float) -> ScenarioContent:
     files: dict[str, bytes] = {}
     remark = ""
     if kind == "track":
@@ -327,7 +331,7 @@ def _world(kind: str, name: str, rng: np.random.Generator, size: Size, vehicle: 
     else:
         sections = _rounded(LAYOUTS[kind](rng, size, density))
     camera = {"sensing": {**SENSING, "camera": above(sections["bounds"])}}
-    return World(name, remark, {**sections, "vehicle": vehicle, **camera}, files)
+    return ScenarioContent(name, remark, {**sections, "vehicle": vehicle, **camera}, files)
 
 
 def _rounded(value: Any) -> Any:
@@ -339,7 +343,7 @@ def _rounded(value: Any) -> Any:
     return round(value, 3) if isinstance(value, float) else value
 
 
-def _task_with_way(world: World, vehicle: Vehicle, wide: Vehicle) -> Task | None:
+def _task_with_way(world: ScenarioContent, vehicle: Vehicle, wide: Vehicle) -> Task | None:
     """Task of a world; None unless the start is free and the disc around the footprint gets from it to the goal."""
     with TemporaryDirectory() as folder:
         for name, content in world.files.items():

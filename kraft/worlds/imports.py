@@ -23,8 +23,8 @@ from kraft.worlds.world import (
     SENSING,
     Goal,
     Imported,
+    ScenarioContent,
     Start,
-    World,
     Written,
     above,
     plain_name,
@@ -166,7 +166,7 @@ def read_occupancy(path: Path, out: Path, vehicle: str, start: Start, goal: Goal
     (low_x, low_y), (high_x, high_y) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
     bounds = {"x": [low_x, high_x], "y": [low_y, high_y]}
     file = os.path.relpath(os.path.realpath(path), os.path.realpath(out))
-    world = World(
+    world = ScenarioContent(
         name=plain_name(path.stem),
         remark=f"From the occupancy map {path.name}.",
         content={

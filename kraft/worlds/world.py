@@ -38,7 +38,7 @@ Goal = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class World:
+class ScenarioContent:
     """Content of a scenario file.
 
     Attributes:
@@ -76,7 +76,7 @@ class Imported:
     `missing` is empty if it has a score, and for a world of another kind.
     """
 
-    world: World
+    world: ScenarioContent
     skipped: Counter[str]
     missing: str = ""
 
@@ -123,7 +123,7 @@ def finished(number: int, count: int, name: str) -> str:
 
 
 def write_worlds(
-    worlds: Sequence[World], out: Path, suite: str, description: str, log: MessageSink = no_messages
+    worlds: Sequence[ScenarioContent], out: Path, suite: str, description: str, log: MessageSink = no_messages
 ) -> Written:
     """Check all worlds and write them and their suite into the new folder `out`, all or nothing.
 
@@ -149,14 +149,14 @@ def write_worlds(
     return Written(out, tuple(out / f"{world.name}.yaml" for world in worlds))
 
 
-def _in_folder(world: World, folder: Path) -> World:
+def _in_folder(world: ScenarioContent, folder: Path) -> ScenarioContent:
     """World whose vehicle, if it is a file, is found from a folder."""
     if "vehicle" not in world.content:
         return world
     return replace(world, content={**world.content, "vehicle": relative_vehicle(world.content["vehicle"], folder)})
 
 
-def _check_names(worlds: Sequence[World]) -> None:
+def _check_names(worlds: Sequence[ScenarioContent]) -> None:
     names = [world.name for world in worlds]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice or "suite" in names:
@@ -164,7 +164,7 @@ def _check_names(worlds: Sequence[World]) -> None:
         raise InputError.of("sources", problem, "expected sources with different names", Code.DUPLICATE)
 
 
-def _with_time(world: World, least: float) -> World:
+def _with_time(world: ScenarioContent, least: float) -> ScenarioContent:
     """World with limits of time for a way of at least so many seconds, if it has none and the usual one is short."""
     limit = float(min(math.ceil(LEAST_TIMES * least), LIMIT_MAX))
     if "trial" in world.content or limit <= Trial().timeout:
@@ -172,7 +172,7 @@ def _with_time(world: World, least: float) -> World:
     return replace(world, content={**world.content, "trial": {"timeout": limit, "oneshot_timeout": limit}})
 
 
-def _check_all(worlds: Sequence[World], out: Path, folder: Path, log: MessageSink) -> list[float]:
+def _check_all(worlds: Sequence[ScenarioContent], out: Path, folder: Path, log: MessageSink) -> list[float]:
     """Least time (s) to the goal of each world."""
     times: list[float] = []
     problems: list[Diagnostic] = []
@@ -193,7 +193,7 @@ def _check_all(worlds: Sequence[World], out: Path, folder: Path, log: MessageSin
     return times
 
 
-def check(world: World, out: Path, folder: Path, log: MessageSink = no_messages) -> float:
+def check(world: ScenarioContent, out: Path, folder: Path, log: MessageSink = no_messages) -> float:
     """Check that a world is a valid scenario with a free start and a goal that its vehicle may reach.
 
     Args:
@@ -221,7 +221,7 @@ def check(world: World, out: Path, folder: Path, log: MessageSink = no_messages)
         raise Unreachable(_at_source(world, each) for each in error.diagnostics) from error
 
 
-def _at_source(world: World, found: Diagnostic) -> Diagnostic:
+def _at_source(world: ScenarioContent, found: Diagnostic) -> Diagnostic:
     """Problem at the place of its value in the source, if that is known; an argument is one value, without keys."""
     key = re.split(r"[.\[]", found.path)[0]
     place = world.places.get(key)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from kraft.recording.area import Area
     from kraft.recording.experiment import PlannedDrive
     from kraft.recording.manoeuvres import Manoeuvre
-    from kraft.recording.recorder import Place, Recorder
+    from kraft.recording.recorder import Recorder, RunStart
     from kraft.scenario import Scenario
 
 COUNT_MAX: Final = 20
@@ -259,7 +259,7 @@ def drives_for(
     count: int,
     seed: int,
     report: MessageSink,
-) -> list[tuple[Manoeuvre, Place | None]]:
+) -> list[tuple[Manoeuvre, RunStart | None]]:
     """Drives in a scenario that show the parameters of a model, from its priors, and where each begins.
 
     Raises:
@@ -277,7 +277,7 @@ def drives_for(
     def room(number: int, path: Matrix) -> float:
         return recorder.place(number, path).time
 
-    found: list[tuple[Manoeuvre, Place | None]] = []
+    found: list[tuple[Manoeuvre, RunStart | None]] = []
     with elapsed_time(report, f"planning {counted(count, 'drive')}"):
         for k, drive in enumerate(planned_drives(known, count, room, seed), 1):
             report(f"planned drive {k} of {count}:")

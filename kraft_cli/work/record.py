@@ -29,9 +29,9 @@ from kraft_cli.work.next_drives import COUNT_MAX, drives_for, load_prior
 from ompl_ext.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from kraft.recording.recorder import Place, Recorder
+    from kraft.recording.recorder import Recorder, RunStart
 
-    _Drive: TypeAlias = tuple[Manoeuvre, Place | None]
+    _Drive: TypeAlias = tuple[Manoeuvre, RunStart | None]
 
 RUNS: Final = 10
 """Number of random runs by default."""

@@ -25,7 +25,7 @@ from kraft.evaluation.journal import trial_row
 from kraft.evaluation.manifest import manifest_of
 from kraft.evaluation.report import Results, page, read_results
 from kraft.evaluation.report import results as of_report
-from kraft.evaluation.report.sweeps import Estimate, label_of, nice_ticks, sweep_pictures, sweeps
+from kraft.evaluation.report.sweeps import Statistic, label_of, nice_ticks, sweep_pictures, sweeps
 from kraft.evaluation.statistics import wilson
 from kraft.evaluation.summary import measures_json, summarise
 from kraft.text import percent
@@ -117,8 +117,8 @@ def test_shares_and_times_of_a_sweep_are_those_of_the_summary(monkeypatch: pytes
     for result in found.summary.results:
         point = points[result.entry, result.method]
         assert point.place == result.settings["sensing.noise_scale"]
-        assert point.success == Estimate(result.success / result.trials, result.interval)
-        assert point.collision == Estimate(result.collision / result.trials, wilson(result.collision, result.trials))
+        assert point.success == Statistic(result.success / result.trials, result.interval)
+        assert point.collision == Statistic(result.collision / result.trials, wilson(result.collision, result.trials))
         assert (None if point.time is None else point.time.value) == result.t_ex
 
 

@@ -11,11 +11,11 @@ import numpy as np
 from kraft.driving.messages import Commitment, Reference, ReferenceKind
 from kraft.driving.method import load_method
 from kraft.robot.control import Control
+from kraft.robot.drive_tables import DriveTables
 from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
-from kraft.robot.journal import Journal
 from kraft.robot.loopback import LoopbackBus
-from kraft.robot.protocol import Begin, DriveSpec, Guarded, Mailbox
+from kraft.robot.protocol import BeginOrder, DriveSpec, Guarded, Mailbox
 from kraft.robot.robot_file import Robot
 from kraft.robot.task_inputs import TaskInputs
 from kraft.robot.tracker import Tracker
@@ -39,12 +39,12 @@ def test_a_command_of_the_guard_that_is_newer_than_the_tick_counts_from_the_tick
     rest = Reference(ReferenceKind.CONTINGENCY, np.array([0.0]), state[np.newaxis], np.zeros((0, 2)), np.zeros(2))
     node = bus.node("kraft")
     inputs = Inputs(described, node)
-    tracker = Tracker(spec, Begin(state, Commitment(rest)), node, inputs)
+    tracker = Tracker(spec, BeginOrder(state, Commitment(rest)), node, inputs)
     (planner, _planner), (guard, theirs) = Pipe(), Pipe()
     mail = Mailbox(guard, "the brake guard")
     health = Health(described.watchdog, 30.0, spec.period)
     control = Control(
-        spec, node, inputs, TaskInputs(described, node, None), Mailbox(planner, "the planner"), mail, Journal(None, {}),
+        spec, node, inputs, TaskInputs(described, node, None), Mailbox(planner, "the planner"), mail, DriveTables(None, {}),
         tracker, health,
     )  # fmt: skip
     theirs.send(Guarded(1.3, np.array([0.5, 0.1])))

@@ -17,14 +17,14 @@ from kraft.driving.references import manoeuvre_reference
 from kraft.errors import Code, InputError
 from kraft.robot.command import CommandCodec, limited, unit_problem, unit_warnings
 from kraft.robot.drive import check_method, on_the_clock
+from kraft.robot.drive_tables import DriveTables
 from kraft.robot.inputs import Inputs
-from kraft.robot.journal import Journal
 from kraft.robot.loopback import LoopbackBus
 from kraft.robot.maps import occupancy_map
 from kraft.robot.messages import BOOL, GRID, make, pose_fields
 from kraft.robot.planner import Planner, changed
 from kraft.robot.poses import Clocks, PoseGuard, Received, units_hint
-from kraft.robot.protocol import Begin, DriveSpec, PlanRequest, Sense, TaskChange
+from kraft.robot.protocol import BeginOrder, DecisionRequest, DriveSpec, Sense, TaskChange
 from kraft.robot.robot_file import Robot
 from kraft.robot.timebase import TopicClock
 from kraft.robot.tracker import Tracker
@@ -316,7 +316,7 @@ def test_after_a_stop_the_car_is_kept_where_it_stands() -> None:
     ahead[vehicle.index("y")] += 0.2
     stop = manoeuvre_reference(vehicle, 0, np.array([0.9, 1.0]), np.array([ahead, ahead]))
     node = LoopbackBus().node("kraft")
-    tracker = Tracker(spec, Begin(at, Commitment(stop)), node, Inputs(described, node))
+    tracker = Tracker(spec, BeginOrder(at, Commitment(stop)), node, Inputs(described, node))
     tracker.on_board.stop(Estimate(1.0, at, 0.0))
     tracker.on_board.commitment = Commitment(stop := replace(stop))
     rolling = at.copy()
@@ -341,7 +341,7 @@ def test_a_plan_that_a_new_map_forbids_is_not_committed() -> None:
         if blocked:
             wall = OccupancyMap(np.ones((1, 40), dtype=bool), 0.05, (0.0, 0.0, 0.0), name="map")
             planner.change(TaskChange(None, wall))
-        answer, _ = planner.decide(PlanRequest(-0.3, 0, Sense(0), begun.commitment))
+        answer, _ = planner.decide(DecisionRequest(-0.3, 0, Sense(0), begun.commitment))
         reasons.append(answer.cycle.reason)
     assert reasons[0] == ""
     assert "clearance" in reasons[1] or "no manoeuvre stops safely" in reasons[1]
@@ -359,7 +359,7 @@ def test_the_planner_identifies_nothing_from_the_time_in_which_something_held_th
     decide = replanner.decide
     monkeypatch.setattr(replanner, "decide", lambda *given: replace(decide(*given), held=(0.1, 2.2)))
     monkeypatch.setattr(planner._estimator, "leave_out", lambda *span: left_out.append(span))
-    planner.decide(PlanRequest(-0.3, 0, Sense(0), begun.commitment))
+    planner.decide(DecisionRequest(-0.3, 0, Sense(0), begun.commitment))
     assert left_out == [(0.1, 2.2)]
 
 
@@ -431,9 +431,9 @@ def test_of_a_large_map_only_what_is_near_the_bounds_is_planned_with() -> None:
 
 def test_a_drive_goes_on_when_its_tables_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "steps.csv").symlink_to("/dev/full")
-    with Journal(tmp_path, {"steps": ["a"], "events": ["time", "event"]}) as journal:
+    with DriveTables(tmp_path, {"steps": ["a"], "events": ["time", "event"]}) as tables:
         for k in range(3):
-            journal.row("steps", k)
-        journal.row("events", 1.0, "later")
-    assert journal.problem.startswith(f"{tmp_path / 'steps.csv'}: cannot be written: ")
+            tables.row("steps", k)
+        tables.row("events", 1.0, "later")
+    assert tables.problem.startswith(f"{tmp_path / 'steps.csv'}: cannot be written: ")
     assert not (tmp_path / "events.csv").exists()

@@ -28,7 +28,7 @@ UNIT: Final = re.compile(r"(?:^|, )(m per m/s|m/s|s|m|rad|kg|degrees)(?:$|[ ;])"
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Statistic:
     """Share or mean with its 95 % interval, if it has one."""
 
     value: float
@@ -36,7 +36,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Point:
+class SweepPoint:
     """One method at one value of the varied key.
 
     Attributes:
@@ -48,9 +48,9 @@ class Point:
 
     place: float
     result: Result
-    success: Estimate | None
-    collision: Estimate | None
-    time: Estimate | None
+    success: Statistic | None
+    collision: Statistic | None
+    time: Statistic | None
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Sweep:
 
     axis: Axis
     fixed: Mapping[str, Any]
-    panels: Mapping[str, Mapping[str, Sequence[Point]]]
+    panels: Mapping[str, Mapping[str, Sequence[SweepPoint]]]
 
     @property
     def name(self) -> str:
@@ -155,7 +155,7 @@ def _distinct(values: Iterator[Any]) -> list[Any]:
 def _sweep(results: Results, axis: Axis, values: Sequence[Any], fixed: Mapping[str, Any]) -> Sweep:
     by_cell = results.summary.by_cell
     texts = {key: value_text(value) for key, value in fixed.items()}
-    panels: dict[str, dict[str, list[Point]]] = {}
+    panels: dict[str, dict[str, list[SweepPoint]]] = {}
     for base, cells in _bases(results).items():
         mine = [cell for cell in cells if all(value_text(cell.set.get(key)) == text for key, text in texts.items())]
         entries = {value_text(cell.set[axis.key]): cell.name for cell in mine if axis.key in cell.set}
@@ -173,14 +173,14 @@ def _sweep(results: Results, axis: Axis, values: Sequence[Any], fixed: Mapping[s
     return Sweep(axis, fixed, panels)
 
 
-def _point(results: Results, place: float, result: Result) -> Point:
+def _point(results: Results, place: float, result: Result) -> SweepPoint:
     rows = results.of_cell(result.entry, result.method)
-    time = None if result.t_ex is None else Estimate(result.t_ex, mean_interval(success_times(rows)))
-    return Point(place, result, _share(result.success, result), _share(result.collision, result), time)
+    time = None if result.t_ex is None else Statistic(result.t_ex, mean_interval(success_times(rows)))
+    return SweepPoint(place, result, _share(result.success, result), _share(result.collision, result), time)
 
 
-def _share(count: int, result: Result) -> Estimate | None:
-    return Estimate(count / result.trials, wilson(count, result.trials)) if result.trials else None
+def _share(count: int, result: Result) -> Statistic | None:
+    return Statistic(count / result.trials, wilson(count, result.trials)) if result.trials else None
 
 
 def _words(name: str) -> str:
@@ -200,7 +200,7 @@ NARROW: Final = 250.0  # px; narrower panels have smaller marks
 INSET: Final = 6.0  # px between the ends of an axis and the edge of a panel
 CHARACTER: Final = 6.4  # px, mean width
 
-Pick = Callable[[Point], Estimate | None]
+Pick = Callable[[SweepPoint], Statistic | None]
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,7 @@ class _Measure:
     high: float
     ticks: Sequence[float]
     text: Callable[[float], str]
-    of: Callable[[Point], str]
+    of: Callable[[SweepPoint], str]
 
 
 @dataclass(frozen=True)
@@ -333,7 +333,7 @@ def _panel(frame: _Frame, measure: _Measure, axis: Axis, *, first: bool, last: b
 
 
 def _lines(
-    frame: _Frame, measure: _Measure, axis: Axis, panel: Mapping[str, Sequence[Point]], titles: Mapping[str, str]
+    frame: _Frame, measure: _Measure, axis: Axis, panel: Mapping[str, Sequence[SweepPoint]], titles: Mapping[str, str]
 ) -> Iterator[Element]:
     """Intervals of all methods, then their lines, then their points."""
     below: list[Element] = []
@@ -363,7 +363,7 @@ def _lines(
     yield from above
 
 
-def _interval(frame: _Frame, measure: _Measure, found: Estimate, x: float, stroke: str) -> Iterator[Element]:
+def _interval(frame: _Frame, measure: _Measure, found: Statistic, x: float, stroke: str) -> Iterator[Element]:
     """Bar of an interval; an end outside of the axis has no cap."""
     if found.interval is None:
         return
@@ -387,7 +387,7 @@ def _share_of_axis(axis: Axis, place: float) -> float:
     return (place - low) / (high - low)
 
 
-def _title(measure: _Measure, point: Point, found: Estimate, method: str) -> str:
+def _title(measure: _Measure, point: SweepPoint, found: Statistic, method: str) -> str:
     text = f"{point.result.entry}, {method}: {measure.of(point)}"
     if found.interval is None:
         return text
@@ -395,15 +395,15 @@ def _title(measure: _Measure, point: Point, found: Estimate, method: str) -> str
     return f"{text}, 95 % interval {low} to {high}"
 
 
-def _successes(point: Point) -> str:
+def _successes(point: SweepPoint) -> str:
     return f"{point.result.success} of {point.result.trials} succeeded"
 
 
-def _collisions(point: Point) -> str:
+def _collisions(point: SweepPoint) -> str:
     return f"{point.result.collision} of {point.result.trials} collided"
 
 
-def _times(point: Point) -> str:
+def _times(point: SweepPoint) -> str:
     return f"mean time of successes {point.result.t_ex:.2f} s"
 
 

@@ -17,7 +17,7 @@ from ompl_ext.vehicle import Vehicle
 EVENTS: Final = ["time", "event"]
 
 
-class Journal:
+class DriveTables:
     """Writes rows of tables in a thread; each table is a file ``NAME.csv``, made with its first row.
 
     The drive goes on if nothing can be written any more: `problem` says why, the tables end with their last whole rows.
@@ -28,10 +28,10 @@ class Journal:
         self._folder, self._headings = folder, headings
         self._rows: queue.SimpleQueue[tuple[str, Sequence[Any]] | None] = queue.SimpleQueue()
         self._tables: dict[str, LineFile] = {}
-        self._thread = threading.Thread(target=self._write, name="journal", daemon=True)
+        self._thread = threading.Thread(target=self._write, name="tables", daemon=True)
         self.problem = ""
 
-    def __enter__(self) -> Journal:
+    def __enter__(self) -> DriveTables:
         """Begin to write."""
         if self._folder is not None:
             try:
