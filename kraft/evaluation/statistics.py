@@ -12,9 +12,11 @@ from ompl_ext.arrays import Floats
 
 SIGNIFICANT: Final = 0.05
 """p-value below which a difference is shown."""
+CONFIDENCE: Final = 1.0 - SIGNIFICANT
+"""Confidence of all intervals: one excludes what a test of the same data would not show to be true."""
 
 
-def wilson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+def wilson(successes: int, trials: int) -> tuple[float, float]:
     """Wilson's score interval of a success rate; (0, 1) without trials.
 
     Raises:
@@ -24,17 +26,17 @@ def wilson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float
 
     if successes == trials == 0:
         return 0.0, 1.0
-    interval = binomtest(successes, trials).proportion_ci(confidence, method="wilson")
+    interval = binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
     return float(interval.low), float(interval.high)
 
 
-def mean_interval(values: Sequence[float], confidence: float = 0.95) -> tuple[float, float] | None:
+def mean_interval(values: Sequence[float]) -> tuple[float, float] | None:
     """Student's t interval of a mean; None with fewer than two values."""
     from scipy.special import stdtrit
 
     if len(values) < 2:
         return None
-    half = stdtrit(len(values) - 1, (1 + confidence) / 2) * np.std(values, ddof=1) / np.sqrt(len(values))
+    half = stdtrit(len(values) - 1, (1 + CONFIDENCE) / 2) * np.std(values, ddof=1) / np.sqrt(len(values))
     return float(np.mean(values) - half), float(np.mean(values) + half)
 
 
@@ -136,9 +138,7 @@ class PairedDifference:
         return 1 if low > 0.0 else -1
 
 
-def paired_difference(
-    one: Sequence[bool], other: Sequence[bool], groups: Sequence[Hashable], confidence: float = 0.95
-) -> PairedDifference:
+def paired_difference(one: Sequence[bool], other: Sequence[bool], groups: Sequence[Hashable]) -> PairedDifference:
     """Compare two methods on the same trials, given in the same order, each with the group that it belongs to.
 
     Trials of a group are alike, as are the seeds of one scenario, so interval and test treat groups as independent, not
@@ -158,10 +158,10 @@ def paired_difference(
     for a, b, group in zip(one, other, groups, strict=True):
         changes[number[group]] += int(a) - int(b)
         sizes[number[group]] += 1
-    interval = _share_bootstrap(changes, sizes, confidence)
+    interval = _share_bootstrap(changes, sizes)
     if interval is None:
         each = len(number) / n
-        interval = newcombe(each * both, each * gained, each * lost, each * (n - both - gained - lost), confidence)
+        interval = newcombe(each * both, each * gained, each * lost, each * (n - both - gained - lost))
     whole = [round(change) for change in changes]
     p, least = sign_flip_p(whole), least_sign_flip_p(sum(change != 0 for change in whole))
     return PairedDifference(n, (sum(one), sum(other)), gained, lost, (gained - lost) / n, interval, p, least)
@@ -186,9 +186,7 @@ def least_sign_flip_p(number: int) -> float:
     return min(1.0, 2.0 * 0.5**number)
 
 
-def grouped_share_interval(
-    counts: Sequence[int], sizes: Sequence[int], confidence: float = 0.95
-) -> tuple[float, float]:
+def grouped_share_interval(counts: Sequence[int], sizes: Sequence[int]) -> tuple[float, float]:
     """Interval of a share of trials that come in groups of some `sizes`, of which `counts` have what is counted.
 
     It is bootstrapped over groups (BCa, 9,999 resamples).  With fewer than three groups, or with the same share in all
@@ -197,13 +195,11 @@ def grouped_share_interval(
     if not counts:
         return 0.0, 1.0
     values, trials = np.asarray(counts, dtype=float), np.asarray(sizes, dtype=float)
-    interval = _share_bootstrap(values, trials, confidence)
-    return interval or _score_interval(float(values.sum() / trials.sum()), len(counts), confidence)
+    interval = _share_bootstrap(values, trials)
+    return interval or _score_interval(float(values.sum() / trials.sum()), len(counts))
 
 
-def mean_difference_interval(
-    differences: Sequence[float], groups: Sequence[Hashable], confidence: float = 0.95
-) -> tuple[float, float] | None:
+def mean_difference_interval(differences: Sequence[float], groups: Sequence[Hashable]) -> tuple[float, float] | None:
     """Student's t interval of the mean of differences between pairs, each with the group that it belongs to.
 
     Pairs of a group are alike, and pairs that are independent have a group each.  The variance is that of a ratio, of
@@ -217,7 +213,7 @@ def mean_difference_interval(
     if found is None:
         return None
     mean, error, freedom = found
-    half = stdtrit(freedom, (1 + confidence) / 2) * error
+    half = stdtrit(freedom, (1 + CONFIDENCE) / 2) * error
     return float(mean - half), float(mean + half)
 
 
@@ -250,7 +246,7 @@ def _mean_difference(differences: Sequence[float], groups: Sequence[Hashable]) -
     return float(mean), float(error), n - 1
 
 
-def _share_bootstrap(values: Floats, sizes: Floats, confidence: float) -> tuple[float, float] | None:
+def _share_bootstrap(values: Floats, sizes: Floats) -> tuple[float, float] | None:
     """Interval of the sum of `values` over that of `sizes`, both by group; None where bootstrapping cannot judge it."""
     from scipy.stats import bootstrap
 
@@ -258,12 +254,12 @@ def _share_bootstrap(values: Floats, sizes: Floats, confidence: float) -> tuple[
         return None
     found = bootstrap(
         (values, sizes), lambda a, b, axis=-1: a.sum(axis=axis) / b.sum(axis=axis), paired=True, vectorized=True,
-        confidence_level=confidence, method="BCa", rng=np.random.default_rng(0),
+        confidence_level=CONFIDENCE, method="BCa", rng=np.random.default_rng(0),
     ).confidence_interval  # fmt: skip
     return float(found.low), float(found.high)
 
 
-def newcombe(both: float, gained: float, lost: float, neither: float, confidence: float = 0.95) -> tuple[float, float]:
+def newcombe(both: float, gained: float, lost: float, neither: float) -> tuple[float, float]:
     """Interval of the difference of two shares of independent pairs, of which these many have each outcome.
 
     It is that of method 10 of Newcombe 1998, "Improved confidence intervals for the difference between binomial
@@ -271,19 +267,19 @@ def newcombe(both: float, gained: float, lost: float, neither: float, confidence
     """
     n = both + gained + lost + neither
     share, share_other = (both + gained) / n, (both + lost) / n
-    low, high = _score_interval(share, n, confidence)
-    low_other, high_other = _score_interval(share_other, n, confidence)
+    low, high = _score_interval(share, n)
+    low_other, high_other = _score_interval(share_other, n)
     phi = _correlation(both, gained, lost, neither)
     below = _joint(share - low, high_other - share_other, phi)
     above = _joint(high - share, share_other - low_other, phi)
     return share - share_other - below, share - share_other + above
 
 
-def _score_interval(share: float, trials: float, confidence: float) -> tuple[float, float]:
+def _score_interval(share: float, trials: float) -> tuple[float, float]:
     """Wilson's interval of a share; the number of trials need not be whole."""
     from scipy.special import ndtri
 
-    z = float(ndtri((1.0 + confidence) / 2.0))
+    z = float(ndtri((1.0 + CONFIDENCE) / 2.0))
     centre = (share + z * z / (2.0 * trials)) / (1.0 + z * z / trials)
     half = z * np.sqrt(share * (1.0 - share) / trials + (z / (2.0 * trials)) ** 2) / (1.0 + z * z / trials)
     return max(0.0, float(centre - half)), min(1.0, float(centre + half))
@@ -304,9 +300,7 @@ def _correlation(both: float, gained: float, lost: float, neither: float) -> flo
     return float(product / np.sqrt(margins))
 
 
-def ratio_interval(
-    one: Sequence[float], other: Sequence[float], confidence: float = 0.95
-) -> tuple[float, float] | None:
+def ratio_interval(one: Sequence[float], other: Sequence[float]) -> tuple[float, float] | None:
     """Bootstrapped interval (BCa, 9,999 resamples) of the geometric mean of `one` over `other`, pair by pair.
 
     None with fewer than three pairs, or if all have the same ratio, which bootstrapping cannot judge.
@@ -317,5 +311,5 @@ def ratio_interval(
     if len(logs) < 3 or np.ptp(logs) == 0.0:
         return None
     generator = np.random.default_rng(0)
-    found = bootstrap((logs,), np.mean, confidence_level=confidence, method="BCa", rng=generator).confidence_interval
+    found = bootstrap((logs,), np.mean, confidence_level=CONFIDENCE, method="BCa", rng=generator).confidence_interval
     return float(np.exp(found.low)), float(np.exp(found.high))
