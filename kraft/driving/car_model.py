@@ -26,7 +26,10 @@ TABLE_SIZE: Final = 65
 """Rows of a table of steady responses."""
 UPDATED_SIZE: Final = 33
 UPDATED_TIME: Final = 6.0
-"""Size of the tables, and time until a response is taken as steady (s), when parameters change during a drive."""
+"""Size of the tables, and time until a response is taken as steady (s), when parameters change during a drive.
+
+Half the rows and a third of the time of `TABLE_SIZE` and `SETTLING_TIME`: they are made between two ticks.
+"""
 Tables = tuple[list[float], list[float], list[float], list[float]]
 """Throttles with their steady speeds (m/s), and steerings with the curvatures of their paths (1/m)."""
 _TABLES: Final[dict[tuple[str, bytes, bytes], Tables]] = {}

@@ -26,7 +26,10 @@ DETOUR: Final = 1.0
 RISE: Final = 0.4
 """What a plan may cost to keep more clearance than the last one, s; below `REGRESSION` of `kraft.trial.measures`."""
 PROBES: Final = 2
-"""Attempts at retaining the remainder to find out whether a higher level is worth a search."""
+"""Attempts at retaining the remainder to find out whether a higher level is worth a search.
+
+Few, as each of them costs time at every level above: one that fails by chance only leaves the level to a later cycle.
+"""
 PROBES_HIGHER: Final = 4
 """Attempts in a search at a level above that of the last plan, whose remainder is the fallback."""
 

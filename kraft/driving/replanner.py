@@ -46,9 +46,17 @@ from ompl_ext.poses import displacement, poses_of
 from ompl_ext.times import SAME_TIME
 
 SETTLED = 0.3
-"""Time after the end of a contingency from which on the vehicle is taken to stand, s."""
+"""Time after the end of a contingency from which on the vehicle is taken to stand, s.
+
+A plain choice: after less, a vehicle whose drive lags still rolls; after more, the noise of its estimated speed is
+taken for motion for longer, and plans that begin at rest wait.
+"""
 FORGET = 2.0
-"""Time without a plan to the goal after which what blocked a vehicle is forgotten, s."""
+"""Time without a plan to the goal after which what blocked a vehicle is forgotten, s.
+
+A plain choice: after less, a few searches in a row that fail by chance forget an obstacle that is there; for all of it
+a vehicle stands where the obstacle closes the only way.
+"""
 NO_ROOM = "the plan leaves no room for a stop without commands"
 NOISE = 0.1
 """Largest estimated speed of a vehicle that stands, m/s."""

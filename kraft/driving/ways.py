@@ -10,9 +10,16 @@ from ompl_ext.plan import Plan
 from ompl_ext.solver import DirtSolver
 
 HORIZON = 5.0
-"""Time over which ways are compared, s."""
+"""Time over which ways are compared, s: about 3 m at the speed of a MuSHR, the next one or two obstacles.
+
+What lies farther ahead is planned again several times before the vehicle gets there, and is no reason to keep to a way.
+"""
 WIDTH = 0.5
-"""Distance at which one plan leaves the way of another, m."""
+"""Distance at which one plan leaves the way of another, m.
+
+It is for open floor, as an obstacle between two plans separates them at any distance: nearly twice the width of a
+MuSHR, more than plans sway by chance.
+"""
 STEP = 0.02
 """Distance between the places on a way that are compared, where its samples are closer, m."""
 

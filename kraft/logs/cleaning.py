@@ -44,6 +44,7 @@ from kraft.text import counted
 TURN_MIN: Final = 0.2
 """Least turn that counts as motion, rad."""
 POSES_MIN: Final = 3
+"""Least number of poses of a part: fewer have no change of the speed."""
 MOVED_MIN: Final = 0.2
 """Least distance at which a vehicle moves while commands of 0 are recorded, m."""
 MASKED_LOW_MAX: Final = 10.0

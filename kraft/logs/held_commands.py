@@ -15,7 +15,11 @@ from kraft.logs.table import Flags, Rows
 
 GAP_MIN: Final = 0.5
 GAP_STEPS: Final = 10.0
-"""A gap is longer than `GAP_MIN` s and than this many median steps."""
+"""A gap is longer than `GAP_MIN` s and than this many median steps.
+
+A few commands that are late or lost are no gap: neither at a high rate, where ten steps take less than half a second,
+nor at a low one, where that is a single step.
+"""
 RATE_STEP_RATIO: Final = 3.0
 """Commands whose steps are rarely longer than this many median steps are periodic; others are logged on change."""
 REPEATED_SHARE: Final = 0.01

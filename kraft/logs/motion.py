@@ -27,6 +27,7 @@ YAW_STEP_MAX: Final = 1.2
 """Largest change of yaw between two poses, rad, besides that of `YAW_RATE_MAX`."""
 
 YAW_RATE_MAX: Final = 10.0
+"""Largest yaw rate that counts as motion, rad/s: a full turn in 0.6 s, faster than robots on wheels turn."""
 
 TRACK_POSES_MIN: Final = 8
 """Number of consecutive consistent poses that begin a new track."""

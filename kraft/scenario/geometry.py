@@ -187,10 +187,12 @@ def _meet(
 
 
 CELLS_MAX: Final = 80_000_000
+"""Most cells of a map: what Pillow reads without a warning of a decompression bomb (89 million), rounded down."""
 BYTES_PER_PIXEL: Final = 24
 """Memory while an image is read, bytes."""
 
 SAVED_UNKNOWN: Final = 205
+"""Brightness out of 255 of unknown cells in the maps of ROS' map_saver."""
 SAVED_GREYS: Final = {0, SAVED_UNKNOWN, 254, 255}
 """Brightness out of 255 of the cells that map_saver writes: occupied, unknown and free (white in PNG)."""
 

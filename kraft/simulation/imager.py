@@ -36,6 +36,7 @@ SIDE_MAX: Final = 512
 """Largest width and height of a picture, px."""
 WIDTH_MAX: Final = 2 * SIDE_MAX
 NEAR, FAR = 0.05, 200.0
+"""Clipping distances of the picture, m: nearer than any camera is to the paper, and farther than any floor is long."""
 THICKNESS: Final = 2e-4
 """Height of the layers of roof, paper and ink above each other, m."""
 FLOOR, ROOF, PAPER, INK = 0.35, 0.15, 0.80, 0.05

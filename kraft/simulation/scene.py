@@ -24,6 +24,7 @@ BOX, CYLINDER, MESH = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER,
 PATCH_RISE: Final = 0.001
 """Height of a friction patch above the floor (m), so that a wheel on it does not touch the floor as well."""
 PATCH_DEPTH: Final = 0.05
+"""Depth to which a friction patch reaches below the floor (m), so that no wheel that sinks in leaves it below."""
 MAX_SEPARATE_BODIES: Final = 12
 """Number of obstacles up to which each is a body of its own.  MuJoCo's broad phase is faster with a few bodies than
 with the geoms of one body, and slower with more than twenty.  This affects only the computing time."""

@@ -41,7 +41,7 @@ REST_SPEED: Final = 0.05
 """Share of the high speeds below which the car is at rest."""
 REST_SAMPLES_MIN: Final = 10
 REST_SHARE_MIN: Final = 0.3
-"""Least number of samples at rest, and least share of them that have the neutral throttle, ..."""
+"""Least number of samples at rest, as the share of fewer is chance; least share that has the neutral throttle, ..."""
 REST_FACTOR: Final = 3.0
 """... or least ratio of their number to that of the next one: dead zone and friction hold a car at many commands."""
 DELAY: Final = 0.15

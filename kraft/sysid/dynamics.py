@@ -29,7 +29,10 @@ DIFFERENCE_STEP = 1e-4
 
 
 PROBES = 8
-"""Number of parameter vectors, and of states with each, at which dependences are sought."""
+"""Number of parameter vectors, and of states with each, at which dependences are sought.
+
+At almost any point a slope tells the dependence; these 64 also leave the dead zones and limits, where it is zero.
+"""
 
 
 class Dynamics:

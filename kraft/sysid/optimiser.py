@@ -37,7 +37,7 @@ DECREASE_TOLERANCE = 1e-6
 """... if the expected decrease is below this: a change of rho by a thousandth of its standard deviation."""
 SETTLED = 6
 """Number of iterations in a row with as small an expected decrease, apart from refused steps, after which rho has
-converged ..."""
+converged: fewer in a row also happen before a step gets past a limit of the model ..."""
 SETTLED_TOLERANCE = 1e-4
 """... if the relative changes of the cost are below this: only states still change."""
 SHARES = (0.5, 0.25, 0.125, 0.0625)
@@ -47,7 +47,11 @@ RELAXATIONS = 2
 DAMPING_INITIAL = 1e-4
 DAMPING_MIN = 1e-9
 DAMPING_MAX = 1e10
-"""Damping of the first step, the least one, and the one from which on no step is tried any more."""
+"""Damping of the first step, the least one, and the one from which on no step is tried any more.
+
+The first step is nearly that of Gauss-Newton, as starting values are good; each step that lowers the cost is followed
+by a tenth of the damping, each other one by ten times as much, which is fourteen refusals in a row up to the largest.
+"""
 RIDGE = 1e-6
 """Share by which the information of each parameter is raised in the choice of terms, so that it is never singular:
 drives that only go forward do not tell a dead zone from friction, and predictions do not depend on which it is."""

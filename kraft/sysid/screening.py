@@ -41,7 +41,11 @@ FINE_COUNT: Final = 25
 OFFSET_WIDTH: Final = 1.0
 """Time from the found offset at which commands must explain less, s."""
 RATE_SPAN: Final = 0.6
-"""Time over which the yaw rate of different logs is compared, s."""
+"""Time over which the yaw rate of different logs is averaged and compared, s.
+
+It is long beside the lags of steering and commands, about 0.1 s, which differ from log to log without another car; and
+short beside the curves that a car drives, which would be averaged away.
+"""
 GROUP_LOGS_MIN: Final = 4
 """Least number of logs among which groups are sought."""
 GROUP_TIME_MIN: Final = 20.0

@@ -27,6 +27,7 @@ SOFT = 0.02
 """Speed over which the dead zone ends, m/s, so that derivatives exist."""
 SPEED_MAX = 2.0
 REVERSE = -0.5
+"""Speeds between which this model is planned with, m/s: those of a Jackal ahead, and slowly astern."""
 BRAKING = 0.25
 """Speed of the sides against the motion over the speed, in emergency manoeuvres."""
 

@@ -30,7 +30,10 @@ SHARES: Final = (0.0, 0.5, -0.5)
 BEGINNING: Final = 20
 TESTED: Final = 20
 STEP: Final = 0.05
-"""Numbers of steps of `STEP` s in which the tested motion begins, and along which it is tested."""
+"""Numbers of steps of `STEP` s in which the tested motion begins, and along which it is tested.
+
+A second each: after the first one lags have passed, and along the second one every controlled component has moved.
+"""
 REACH: Final = 1e-4
 """Least change of a pose or velocity (m, rad, m/s, rad/s) within the tested motion by which it counts as controlled."""
 
