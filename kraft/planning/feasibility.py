@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Final
 
 from kraft.errors import Code, Diagnostic, InputError, Unreachable
+from kraft.planning.free_place import Pose, beyond_bounds, fits, free_place, overlap
 from kraft.planning.workspace import (
     goal_of,
     planar_obstacle,
@@ -34,6 +35,9 @@ from ompl_ext.vehicle import Footprint, Vehicle
 POINT = Footprint(1e-6, 1e-6)
 REACH_ALLOWANCE: Final = 0.02
 """Allowance for the range of a component, as a share of the range that simulated motions show."""
+OUTSIDE: Final = -1
+"""In place of the number of an obstacle: beyond the bounds."""
+EXPECTED_START: Final = "expected a start that is free and inside the bounds"
 UNREACHABLE: Final = "the goal is unreachable: no path from the start is wide enough for the footprint"
 
 
@@ -77,16 +81,11 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
     x, y = float(state[vehicle.index("x")]), float(state[vehicle.index("y")])
     heading = heading_of(state, vehicle)
     problems = []
-    if hit := _first_hit(task, vehicle, vehicle.footprint, (x, y, heading)):
-        problem = f"{vehicle.name} at {pose_text(x, y, heading)} {hit}"
-        expected = "expected a start that is free and inside the bounds"
-        if origin is None:
-            problems.append(task.source.diagnostic("start", problem, expected, code=Code.GEOMETRY))
-        else:
-            problems.append(Diagnostic(origin, problem, expected, code=Code.GEOMETRY))
+    if (hit := _first_hit(task, vehicle, vehicle.footprint, (x, y, heading))) is not None:
+        problems.append(_start_problem(task, vehicle, (x, y, heading), hit, origin))
     problems += _speed_problems(task, vehicle) if origin is None else []
-    if hit := _first_hit(task, vehicle, POINT, (*task.goal.center, 0.0)):
-        problem = f"the goal's centre {hit}"
+    if (hit := _first_hit(task, vehicle, POINT, (*task.goal.center, 0.0))) is not None:
+        problem = f"the goal's centre {_phrase(task, hit)}"
         expected = "expected a free place"
         problems.append(task.source.diagnostic("goal.center", problem, expected, code=Code.GEOMETRY))
     if task.goal.heading is not None and vehicle.index("theta") < 0:
@@ -96,6 +95,24 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
     problems += _goal_limit_problems(task, vehicle) + _step_problems(task, vehicle)
     if problems:
         raise InputError(problems)
+
+
+def _start_problem(task: Task, vehicle: Vehicle, pose: Pose, hit: int, origin: str | None) -> Diagnostic:
+    """What is wrong with a start: in what the vehicle is, how deep, and where near it there is room."""
+    shape = vehicle.footprint
+    problem, expected = f"{vehicle.name} at {pose_text(*pose)} {_phrase(task, hit)}", EXPECTED_START
+    if hit == OUTSIDE:
+        problem += f": it reaches {beyond_bounds(task, shape, pose)}"
+    elif (depth := overlap(task, vehicle, pose, hit)) is not None:
+        problem += f", which it overlaps by {depth:.2g} m"
+    if not fits(task, shape):
+        problem += f"; its footprint, {shape.length:g} m x {shape.width:g} m, does not fit into the bounds"
+        expected = "expected a smaller vehicle or wider bounds"
+    elif origin is None and (place := free_place(task, vehicle, pose)) is not None:
+        expected += f", such as ({place[0]:.2f}, {place[1]:.2f}) with this heading"
+    if origin is None:
+        return task.source.diagnostic("start", problem, expected, code=Code.GEOMETRY)
+    return Diagnostic(origin, problem, expected, code=Code.GEOMETRY)
 
 
 def needs_motions(task: Task) -> bool:
@@ -155,8 +172,8 @@ def _goal_limit_problems(task: Task, vehicle: Vehicle) -> list[Diagnostic]:
     return problems
 
 
-def _first_hit(task: Task, vehicle: Vehicle, footprint: Footprint, pose: tuple[float, float, float]) -> str | None:
-    """Phrase with the first collision of the footprint at a pose; None if it is free."""
+def _first_hit(task: Task, vehicle: Vehicle, footprint: Footprint, pose: Pose) -> int | None:
+    """Number of the first obstacle that the footprint at a pose collides with, or `OUTSIDE`; None if it is free."""
     workspace = workspace_of(task, vehicle)
     outside = task.bounds.outside(*pose[:2])
     if not outside and not ExactClearance(workspace, footprint).collides(*pose):
@@ -164,20 +181,41 @@ def _first_hit(task: Task, vehicle: Vehicle, footprint: Footprint, pose: tuple[f
     for i, obstacle in enumerate(task.obstacles):
         alone = Workspace(workspace.bounds, (planar_obstacle(obstacle),))
         if ExactClearance(alone, footprint).collides(*pose):
-            return (
-                f"is in collision with {obstacle.name!r}" if obstacle.name else f"is in collision with obstacles[{i}]"
-            )
-    return "is out of bounds"
+            return i
+    return OUTSIDE
 
 
-def footprint_hit(task: Task, vehicle: Vehicle, pose: tuple[float, float, float]) -> str | None:
+def _phrase(task: Task, hit: int) -> str:
+    """What something is in, as the end of a sentence."""
+    return "is out of bounds" if hit == OUTSIDE else f"is in collision with {obstacle_text(task, hit)}"
+
+
+def obstacle_text(task: Task, number: int) -> str:
+    """Obstacle in a message: its name, or its place in the file."""
+    name = task.obstacles[number].name
+    return repr(name) if name else f"obstacles[{number}]"
+
+
+def nearest_obstacle(task: Task, vehicle: Vehicle, pose: Pose) -> str:
+    """Obstacle that is nearest to the vehicle at a pose, in a message; `the bounds` if these are nearer."""
+    bounds = task.bounds.x, task.bounds.y
+    alone = [Workspace(bounds, (planar_obstacle(obstacle),)) for obstacle in task.obstacles]
+    away = [ExactClearance(each, vehicle.footprint).distance(*pose) for each in alone]
+    fence_away = ExactClearance(workspace_of(replace(task, obstacles=()), vehicle), vehicle.footprint).distance(*pose)
+    nearest = min(range(len(away)), key=away.__getitem__, default=None)
+    return "the bounds" if nearest is None or fence_away < away[nearest] else obstacle_text(task, nearest)
+
+
+def footprint_hit(task: Task, vehicle: Vehicle, pose: Pose) -> str | None:
     """Phrase with the first collision of the vehicle at a pose (m, m, rad), or that it is outside; None if free."""
-    return _first_hit(task, vehicle, vehicle.footprint, pose)
+    hit = _first_hit(task, vehicle, vehicle.footprint, pose)
+    return None if hit is None else _phrase(task, hit)
 
 
 def goal_hit(task: Task, vehicle: Vehicle) -> str | None:
     """Phrase with what the goal's centre is in, or that it is out of bounds; None if it is free."""
-    return _first_hit(task, vehicle, POINT, (*task.goal.center, 0.0))
+    hit = _first_hit(task, vehicle, POINT, (*task.goal.center, 0.0))
+    return None if hit is None else _phrase(task, hit)
 
 
 def check_reachable(task: Task, vehicle: Vehicle) -> float:

@@ -11,7 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from kraft.errors import Defect
-from kraft.planning.feasibility import UNREACHABLE, check_placement, reachable
+from kraft.planning.feasibility import UNREACHABLE, check_placement, nearest_obstacle, reachable
+from kraft.planning.free_place import free_place
 from kraft.planning.search import (
     Budget,
     OnProgress,
@@ -135,7 +136,7 @@ def plan_task(
     dirt, settings, slack = _started_solver(task, vehicle, state, seed, threads)
     setup_seconds = clock.perf_counter() - began
     budget = budget or budget_of(task)
-    reason = _infeasible_start(dirt, state, slack)
+    reason = _infeasible_start(task, dirt, state, slack)
     request = SearchRequest(state, budget, seed, previous, on_progress)
     found = SearchResult(None, dirt.progress) if reason else search(dirt, request)
     began = clock.perf_counter()
@@ -189,7 +190,7 @@ def finds_plan(task: Task, vehicle: Vehicle, iterations: int) -> bool:
     state = start_state(task, vehicle)
     settings = replace(settings_of(task, vehicle), polish=False)  # the first plan counts, however long it is
     dirt = DirtSolver(vehicle, workspace_of(task, vehicle), goal_of(task), safety_of_task(task), settings)
-    if _infeasible_start(dirt, state, dirt.start(state, seed=0)):
+    if _infeasible_start(task, dirt, state, dirt.start(state, seed=0)):
         return False
     dirt.grow(iterations=iterations, stop=lambda: bool(dirt.progress.history))
     found = SearchResult(dirt.plan(), dirt.progress)
@@ -275,7 +276,7 @@ def _beyond_limits(vehicle: Vehicle, state: Floats) -> str:
     return ", ".join(beyond)
 
 
-def _infeasible_start(dirt: DirtSolver, state: Floats, slack: float) -> str:
+def _infeasible_start(task: Task, dirt: DirtSolver, state: Floats, slack: float) -> str:
     """Reason why no plan from this start exists, whatever the budget; empty if one may exist."""
     x, y, _ = pose_of(state, dirt.vehicle)
     if not reachable(dirt.problem, x, y):
@@ -283,14 +284,26 @@ def _infeasible_start(dirt: DirtSolver, state: Floats, slack: float) -> str:
     if slack < 0.0 and (beyond := _beyond_limits(dirt.vehicle, state)):
         return f"the start is beyond the limits of the vehicle: {beyond}"
     if slack < 0.0:
-        return (
-            f"the start is too near to an obstacle: the footprint is {1000.0 * _distance(dirt, state):.1f} mm from it, "
-            "and the planner, which covers the footprint with discs and knows clearances on a grid, needs some more"
-        )
+        return _too_near(task, dirt, state)
     _, beyond_delta = dirt.edge(state, np.zeros(len(dirt.vehicle.controls)), 0.0, 0.0)
     if beyond_delta < 0.0:
-        return f"the start lacks {-beyond_delta:.3f} m of the clearance delta that its first cycle requires"
+        return (
+            f"the start lacks {-beyond_delta:.3f} m of the clearance delta that its first cycle requires; start "
+            "farther from obstacles, or ask for less (planning.safety)"
+        )
     return ""
+
+
+def _too_near(task: Task, dirt: DirtSolver, state: Floats) -> str:
+    """What to say of a start that is free, but not by as much as the planner's bounds of the distance are too short."""
+    vehicle, pose = dirt.vehicle, pose_of(state, dirt.vehicle)
+    place = free_place(task, vehicle, pose)
+    such = "" if place is None else f", such as at ({place[0]:.2f}, {place[1]:.2f}) with this heading"
+    return (
+        f"the start is too near to {nearest_obstacle(task, vehicle, pose)}: {vehicle.name} is "
+        f"{1000.0 * _distance(dirt, state):.1f} mm away, and the planner, which takes distances for a little shorter "
+        f"than they are, needs more room; start farther away{such}"
+    )
 
 
 def _failure_reason(task: Task, vehicle: Vehicle, plan: Plan | None, progress: Progress) -> str:

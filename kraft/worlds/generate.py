@@ -17,7 +17,7 @@ import numpy as np
 from kraft.errors import Code, Diagnostic, InputError, Problems, Unreachable, out_of_range
 from kraft.files import check_new_folder
 from kraft.planning.compilation import ensure_compiled
-from kraft.planning.feasibility import check_placement, check_reachable
+from kraft.planning.feasibility import check_placement, check_reachable, footprint_hit
 from kraft.planning.plan import finds_plan
 from kraft.planning.workspace import start_state
 from kraft.scenario import Task, parse_scenario
@@ -352,6 +352,9 @@ def _task_with_way(world: ScenarioContent, vehicle: Vehicle, wide: Vehicle) -> T
         text = json.dumps({"name": world.name, **world.content})
         try:
             task = parse_scenario(text, world.name, Path(folder)).task()
+            start = task.start
+            if footprint_hit(task, vehicle, (start.x, start.y, start.heading)):  # quicker than to say what is wrong
+                return None
             check_placement(task, vehicle, start_state(task, vehicle))
             check_reachable(task, wide)
         except (InputError, Unreachable):

@@ -276,7 +276,7 @@ def test_a_long_vehicle_starts_as_near_to_a_wall_as_it_stands(x: float, mushr: V
     ("task", "reason"),
     [
         (lambda: room(WALL), "the goal is unreachable: no path from the start is wide enough for the footprint"),
-        (lambda: room(NEAR), "the start is too near to an obstacle: the footprint is 2.5 mm from it, and the planner"),
+        (lambda: room(NEAR), "the start is too near to 'pillar': mushr is 2.5 mm away, and the planner"),
         (
             lambda: room(("heading_deg: 0", "heading_deg: 0, speed: -0.2")),
             "the start is beyond the limits of the vehicle: v is -0.2, not 0 to 0.7",
