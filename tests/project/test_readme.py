@@ -17,6 +17,26 @@ def test_readme_has_exactly_two_commands_that_begin_from_nothing() -> None:
     assert len(commands()) == 2
 
 
+def test_the_small_table_adds_up_the_scenarios_of_the_large_one() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    large = _rows(text[text.index("<!-- results") : text.index("<!-- end of results")])
+    small = _rows(text[text.index("## What it achieves") : text.index("## Extras and tests")])
+    assert len(small) == 6
+    for name, (_, *numbers) in small.items():
+        reached = sum(int(cell.split()[0].rstrip(",")) for cell in large[name])
+        hit = sum(int(found[1]) for cell in large[name] if (found := re.search(r"(\d+) hit", cell)))
+        assert list(map(int, numbers)) == [reached, hit], name
+    assert f"{len(large) - len(small)} more" in text.replace("ten more", "10 more")
+
+
+def _rows(text: str) -> dict[str, list[str]]:
+    """Cells of the rows of the table in a text, without its heading, by the first of them."""
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")] for line in re.findall(r"^\|.*\|$", text, re.MULTILINE)
+    ]
+    return {name: cells for name, *cells in rows[2:]}
+
+
 def test_continuous_integration_runs_the_second_one() -> None:
     assert commands()[1] in (ROOT / ".ci" / "run").read_text().splitlines()
 
