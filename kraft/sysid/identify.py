@@ -15,16 +15,15 @@ from kraft.sysid.chains import whole_segment
 from kraft.sysid.checks import SolvedProblem, warnings_of
 from kraft.sysid.data import screen_logs, usable_logs
 from kraft.sysid.factor_graph import FastGraph, PaperGraph
+from kraft.sysid.fit_progress import FitProgress, OnIteration, ignore_iteration
 from kraft.sysid.initial_values import InitialSearch, SmoothedPoses, smooth_chains
 from kraft.sysid.interface import Identification, Settings
 from kraft.sysid.optimiser import (
     LinearisedGraph,
-    OnIteration,
     Optimum,
     ParameterUncertainty,
     estimate_uncertainty,
     held_at_bounds,
-    ignore_iteration,
     optimise,
 )
 from kraft.sysid.parameters import Parameters, parameters_of, vehicle_of
@@ -65,8 +64,8 @@ def identify(
             or a reference to either.
         logs: of `kraft.logs.reader.read_logs`; the sandwich interval treats them as independent of each other.
         settings: None for the defaults.
-        on_iteration: called after each iteration with the number of iterations, those of model selection included,
-            and the cost.
+        on_iteration: called after each iteration with the number of the fit, about how many there will be, the
+            iteration and the cost.
 
     Raises:
         InputError: if the logs cannot be used (no motion, other controls than those of the vehicle), or if the settings
@@ -137,7 +136,9 @@ class _Estimator:
         logs: Sequence[Log],
         on_iteration: OnIteration,
     ) -> None:
-        self.on_iteration, self.iterations = on_iteration, 0
+        self.on_iteration, self.iterations, self.fits = on_iteration, 0, 0
+        selects = settings.auxiliary in ("auto", "plan")
+        self.fits_planned = 1 + (REFITS_MAX if selects else 0)
         self.vehicle, self.model, self.settings, self.logs = vehicle, model, settings, logs
         self.segments = [whole_segment(part, i, settings.step) for i, log in enumerate(logs) for part in log.parts]
         self.noise: NoiseModel = noise_model(
@@ -157,6 +158,7 @@ class _Estimator:
         if 1.0 / RESIDUAL_SCALE_TOLERANCE < scale < RESIDUAL_SCALE_TOLERANCE or not self.noise.robust:
             return False
         self.noise = replace(self.noise, threshold=scale * self.noise.threshold)
+        self.fits_planned += 1
         return True
 
     def problem(self, parameters: Parameters) -> Problem:
@@ -188,12 +190,13 @@ class _Estimator:
 
     def fit(self, start: _InitialProblem, iterations: int) -> _Fit:
         """Solve a problem from its initial point."""
-        before = self.iterations
+        self.fits += 1
+        fit, planned = self.fits, max(self.fits, self.fits_planned)
         optimum = optimise(
             self._graph(start.problem),
             start.point,
             iterations,
-            lambda made, cost: self.on_iteration(before + made, cost),
+            lambda made, cost: self.on_iteration(FitProgress(fit, planned, made, cost)),
         )
         self.iterations += optimum.iterations
         p, rho = start.problem.parameters, optimum.point.rho

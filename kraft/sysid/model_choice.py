@@ -21,9 +21,9 @@ from kraft.sysid.base_vehicle import (
 )
 from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.data import check_any, usable_logs
+from kraft.sysid.fit_progress import OnIteration, ignore_iteration
 from kraft.sysid.identify import identify
 from kraft.sysid.interface import Identification, ModelTrial, Settings
-from kraft.sysid.optimiser import OnIteration, ignore_iteration
 from kraft.sysid.parallel import begin, in_parallel
 from kraft.sysid.parameters import auxiliary_parameters
 from kraft.sysid.prediction import HORIZONS, is_predictable, predict_windows, window_errors
@@ -44,6 +44,8 @@ CARS: Final = ("car-lag", "car")
 """The car with terms, and the same with fewer states."""
 KNOWN: Final = ("mushr-drive", "mushr-lag")
 """Models that are compared with it, the simplest last."""
+MODELS: Final = 1 + len(KNOWN)
+"""Number of the models that are compared."""
 SCREENING_LOGS: Final = 2
 """Least number of logs that a known model is first fitted to, and number of others that it then predicts."""
 SCREENING_TIME: Final = 60.0
@@ -95,8 +97,9 @@ def identify_car(
     Args:
         logs: with the commands throttle and steering, in any unit, forward and left positive.
         settings: None for the defaults.
-        on_iteration: called after each iteration with the number of iterations and the cost.
-        on_stage: called before each stage with what is fitted: a model, and of the car with terms what is chosen.
+        on_iteration: called after each iteration of each fit.
+        on_stage: called before each stage with what is fitted: which model of how many, and of the car with terms what
+            is chosen.
 
     Raises:
         InputError: if the logs cannot be used, or a command never changes in them.
@@ -108,11 +111,11 @@ def identify_car(
     car = _with_terms(logs, settings, on_iteration, on_stage)
     judged, refused, missing = [_judged(car, logs, settings)], list[_Candidate](), list[str]()
     comparable = len(judged[0].errors) == len(logs)  # else the car has no errors of the logs that tell
-    for name, screened in zip(KNOWN, screening.result(), strict=True):
+    for number, (name, screened) in enumerate(zip(KNOWN, screening.result(), strict=True), 2):
         if comparable and screened is not None and screened.score() > SCREENING_FACTOR * judged[0].score(_tests(logs)):
             refused.append(screened)
             continue
-        on_stage(name)
+        on_stage(f"model {number} of {MODELS}, {name}")
         known = _known(name, logs, replace(settings, iterations=KNOWN_ITERATIONS), on_iteration)
         if isinstance(known, str):
             missing.append(f"{name} is not among the compared models: {known}")
@@ -196,10 +199,10 @@ def _with_terms(
     if WHEELBASE in settings.values:
         cars = [for_wheelbase(each, settings.values[WHEELBASE]) for each in cars]
     else:
-        on_stage(f"{CARS[0]}, its wheelbase")
+        on_stage(f"model 1 of {MODELS}, {CARS[0]}, its wheelbase")
         cars = with_wheelbase(cars, logs, settings, on_iteration)
     definitions = _definitions(cars)
-    on_stage(f"{CARS[0]}, the terms that the logs need")
+    on_stage(f"model 1 of {MODELS}, {CARS[0]}, the terms that the logs need")
     choice = identify_terms(definitions[0], logs, settings, on_iteration, definitions[1])
     base = next(each for each in cars if each.definition is choice.vehicle)
     return IdentifiedCar(with_speed(base, choice.identification, logs), choice.identification)

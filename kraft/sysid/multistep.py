@@ -17,8 +17,9 @@ from functools import cached_property
 import numpy as np
 
 from kraft.sysid.dynamics import DIFFERENCE_STEP, Dynamics
+from kraft.sysid.fit_progress import OnStep, ignore_step
 from kraft.sysid.initial_values import SmoothedPoses, initial_states
-from kraft.sysid.optimiser import RIDGE, OnIteration, Optimum, RhoFactors, bounded_step, ignore_iteration
+from kraft.sysid.optimiser import RIDGE, Optimum, RhoFactors, bounded_step
 from kraft.sysid.parallel import in_parallel
 from kraft.sysid.parameters import YAW_RATES, Parameters, speed_index
 from kraft.sysid.problem import NoiseModel, ObservationModel, Point, Problem
@@ -389,7 +390,7 @@ def fit(
     graph: MultiStep,
     start: Point,
     most: int,
-    on_iteration: OnIteration = ignore_iteration,
+    on_step: OnStep = ignore_step,
     tolerance: float = CONVERGED,
 ) -> Optimum:
     """Minimise the cost within the bounds of the parameters, in at most `most` steps (Levenberg-Marquardt).
@@ -412,7 +413,7 @@ def fit(
             fresh = not converged and (small or cost - lower > NEARLY_LINEAR * cost)
             point, cost, damping = candidate, lower, max(0.2 * damping, DAMPING_MIN)
             graph.linearise(point, again=fresh)
-            on_iteration(iterations, cost)
+            on_step(iterations, cost)
         elif not fresh:
             graph.linearise(point)
             fresh = True

@@ -17,7 +17,6 @@ Its own changes are those with the bound as a constant force: a spread of 0 woul
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, Protocol
@@ -27,6 +26,7 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from kraft.errors import NegativeResult
+from kraft.sysid.fit_progress import OnStep, ignore_step
 from kraft.sysid.problem import Point, Problem
 from ompl_ext.arrays import Bools, Floats, Matrix
 
@@ -57,7 +57,6 @@ RIDGE = 1e-6
 drives that only go forward do not tell a dead zone from friction, and predictions do not depend on which it is."""
 
 
-OnIteration = Callable[[int, float], None]
 """Called with the number of iterations and the cost."""
 
 
@@ -93,11 +92,7 @@ class Optimum:
     """at the point, undamped"""
 
 
-def ignore_iteration(_: int, __: float) -> None:
-    """Ignore an iteration."""
-
-
-def optimise(graph: LinearisedGraph, start: Point, most: int, on_iteration: OnIteration = ignore_iteration) -> Optimum:
+def optimise(graph: LinearisedGraph, start: Point, most: int, on_step: OnStep = ignore_step) -> Optimum:
     """Minimise the cost within the bounds of the parameters, in at most `most` iterations."""
     problem = graph.problem
     low, high, free = problem.parameters.low, problem.parameters.high, problem.parameters.free
@@ -122,7 +117,7 @@ def optimise(graph: LinearisedGraph, start: Point, most: int, on_iteration: OnIt
             damping *= 10.0
         if point is not graph.point:
             graph.linearise(point)
-        on_iteration(iterations, cost)
+        on_step(iterations, cost)
     return Optimum(point, cost, converged, iterations, graph.reduce(0.0))
 
 

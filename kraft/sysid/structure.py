@@ -32,11 +32,12 @@ import numpy as np
 
 from kraft.errors import Code, InputError
 from kraft.sysid.drive_regression import drive_values
+from kraft.sysid.fit_progress import FitProgress, OnIteration
 from kraft.sysid.initial_values import InitialSearch
 from kraft.sysid.interface import AT_BOUND, Settings
 from kraft.sysid.log_motion import reverses
 from kraft.sysid.multistep import CONVERGED, MultiStep, fit
-from kraft.sysid.optimiser import RIDGE, OnIteration, Optimum, bounded_step, step_with, without_fold
+from kraft.sysid.optimiser import RIDGE, Optimum, bounded_step, step_with, without_fold
 from kraft.sysid.parallel import in_parallel
 from kraft.sysid.parameters import Parameters, parameters_of, variation_of, vehicle_of
 from kraft.sysid.prediction import Piece, Predictor, pieces_of
@@ -91,6 +92,8 @@ REFIT_ITERATIONS: Final = 6
 """Most iterations after a term is switched off."""
 DIVERGED: Final = 1e6
 """Error of a prediction that diverges, m: the structure is judged by it, and not by the other predictions alone."""
+OTHER_FITS: Final = 12
+"""Usual number of fits of a search beside one for each term: of all terms, of the chosen ones, and in all windows."""
 HORIZON_SHARES: Final = (1.0 / 3.0, 2.0 / 3.0, 1.0)
 """Times in a window at which errors are compared, as shares of the horizon."""
 
@@ -115,7 +118,7 @@ class StructureSearch:
         chosen = settings.auxiliary
         self.auxiliary = chosen if isinstance(chosen, tuple) else () if chosen == "none" else AUXILIARY
         self.model: Vehicle = vehicle_of(vehicle)
-        self.iterations, self._on_iteration = 0, on_iteration
+        self.iterations, self.fits, self.fits_planned, self._on_iteration = 0, 0, 0, on_iteration
         self._logs = logs
         parts = [part for log in logs for part in log.parts]
         noise = settings.noise or measured_noise([p.pose_times for p in parts], [p.poses for p in parts])
@@ -143,6 +146,10 @@ class StructureSearch:
         self._pieces = evenly([piece for piece in pieces if piece.segment.log in fitted], SEARCHED_WINDOWS)
         self._predictors: dict[int, Predictor] = {}
         self._controls = WindowControls(self.windows, self.parameters(()))
+
+    def goes_on(self, before: StructureSearch) -> None:
+        """Count iterations and fits on from those of another search."""
+        self.iterations, self.fits, self.fits_planned = before.iterations, before.fits, before.fits_planned
 
     def parameters(self, terms: Sequence[str]) -> Parameters:
         """Parameters with the given terms on, and the others at their neutral value and frozen."""
@@ -218,12 +225,14 @@ class StructureSearch:
     def _optimise(
         self, graph: MultiStep, start: Point, iterations: int | None = None, tolerance: float = CONVERGED
     ) -> Optimum:
-        before = self.iterations
+        self.fits_planned = max(self.fits_planned or self.fits + len(self.candidates) + OTHER_FITS, self.fits + 1)
+        self.fits += 1
+        number, planned = self.fits, self.fits_planned
         optimum = fit(
             graph,
             start,
             iterations or self.settings.iterations,
-            lambda made, cost: self._on_iteration(before + made, cost),
+            lambda made, cost: self._on_iteration(FitProgress(number, planned, made, cost)),
             tolerance,
         )
         self.iterations += optimum.iterations
@@ -295,7 +304,8 @@ class StructureSearch:
     def _in_windows(self, length: float | None, most: int) -> StructureSearch:
         """The search in other windows of the same logs."""
         other = StructureSearch(self.vehicle, self._logs, self.settings, self._on_iteration, length, most)
-        other.growth, other.variation, other.iterations = self.growth, self.variation, self.iterations
+        other.growth, other.variation = self.growth, self.variation
+        other.goes_on(self)
         return other
 
     def _again(self, structure: Structure) -> Structure:

@@ -13,12 +13,11 @@ from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.log import Log
 from kraft.sysid.checks import SolvedProblem, SteeringInMotion, warnings_of
 from kraft.sysid.data import usable_logs
+from kraft.sysid.fit_progress import OnIteration, ignore_iteration
 from kraft.sysid.interface import Identification, ModelTrial, Settings
 from kraft.sysid.optimiser import (
-    OnIteration,
     estimate_uncertainty,
     held_at_bounds,
-    ignore_iteration,
 )
 from kraft.sysid.parameters import vehicle_of
 from kraft.sysid.prediction import process_noise
@@ -64,7 +63,7 @@ def identify_terms(
         vehicle: a vehicle file in which some parameters have a neutral value.
         logs: of `kraft.logs.reader.read_logs`.
         settings: None for the defaults.
-        on_iteration: called after each iteration with the number of iterations and the cost.
+        on_iteration: called after each iteration of each fit.
         simpler: a model with fewer states, which is chosen with the same terms if it predicts as well, and with its own
             if it predicts better or, with all terms, as well: the other one may have lags that the vehicle lacks.
 
@@ -77,10 +76,11 @@ def identify_terms(
     found = searched(search)
     if simpler is not None and steered.changes:
         other = StructureSearch(simpler, usable, settings, on_iteration)
-        other.growth, other.variation, other.iterations = search.growth, search.variation, found.final.iterations
+        other.growth, other.variation = search.growth, search.variation
+        other.goes_on(found.final)
         alike = other.alike(found.best)
         own = StructureSearch(simpler, usable, settings, on_iteration)
-        own.iterations = other.iterations
+        own.goes_on(other)
         taken = simplified(found, alike, own)
         vehicle = vehicle if taken.best is found.best else simpler
         found = taken._replace(final=other) if taken.best is alike else taken

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final
 
 from kraft.errors import InputError, NegativeResult
 from kraft.sysid.acceptance import PredictionEvaluation, evaluate_predictions
@@ -23,10 +22,8 @@ from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
 from kraft.text import MessageSink
 from kraft.vehicles import is_car
 from kraft_cli.work.sysid_logs import report_problems
+from kraft_cli.work.sysid_progress import ProgressReporter
 from kraft_cli.work.sysid_request import AUTO, SysidRequest
-
-PROGRESS_INTERVAL: Final = 2.0
-"""Least time between two progress messages, and before the first one, s."""
 
 
 @dataclass(frozen=True)
@@ -128,25 +125,6 @@ def _restored(split: LogSplit, units: Mapping[str, CommandUnit]) -> LogSplit:
 def in_units(split: LogSplit, units: Mapping[str, CommandUnit]) -> LogSplit:
     """The split with commands in the units of the model, for the meaning of their recorded numbers."""
     return replace(split, fitted=with_units(split.fitted, units), held_out=with_units(split.held_out, units))
-
-
-class ProgressReporter:
-    """Reports the iterations of the optimiser in a stage, at most once per `PROGRESS_INTERVAL`."""
-
-    def __init__(self, info: MessageSink, stage: str = "", clock: Callable[[], float] = time.monotonic) -> None:
-        """Start the clock."""
-        self._info, self._stage, self._clock, self._last = info, stage, clock, clock()
-
-    def begin(self, stage: str) -> None:
-        """Note what is fitted from now on."""
-        self._stage = stage
-
-    def __call__(self, iterations: int, cost: float) -> None:
-        """Report the number of iterations and the cost, unless the last report is recent."""
-        now = self._clock()
-        if now - self._last >= PROGRESS_INTERVAL:
-            self._last = now
-            self._info(f"{self._stage}: iteration {iterations}, cost {cost:.6g}")
 
 
 def _draw_logs(request: SysidRequest, base: BaseVehicle, split: LogSplit, error: InputError) -> None:

@@ -16,10 +16,11 @@ from support.recorded import FOUR, IDENTIFY, weaken
 
 from kraft.recording import experiment
 from kraft.sysid import factor_graph as compilation
+from kraft.sysid.fit_progress import FitProgress
 from kraft.sysid.parameters import is_unknown_to_planning
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
-from kraft_cli.work import sysid_fit as module
+from kraft_cli.work import sysid_progress
 from kraft_cli.work.sysid_request import SysidRequest, checked
 
 KEYS = {"model", "params", "rmse_train_m", "rmse_holdout_m", "logs", "converged", "iterations", "wall_s", "warnings"}
@@ -109,16 +110,22 @@ def test_an_identification_that_takes_long_says_how_it_goes(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     heard: list[str] = []
-    times = iter([0.0, 1.9, 2.0, 3.9, 4.1])
-    report = module.ProgressReporter(heard.append, "car", lambda: next(times))
-    for made in range(1, 5):
-        report(made, 1000.0 / made)
-    assert heard == ["car: iteration 2, cost 500", "car: iteration 4, cost 250"]
-    monkeypatch.setattr(module, "PROGRESS_INTERVAL", 0.0)
+    times = iter([0.0, 1.9, 2.0, 3.9, 8.0, 9.0, 11.5])
+    report = sysid_progress.ProgressReporter(heard.append, "car", lambda: next(times))
+    for fit, iteration in ((1, 1), (1, 2), (2, 1), (3, 4)):
+        report(FitProgress(fit, 5, iteration, 1000.0 * fit))
+    report.begin("model 2 of 3, cart")
+    report(FitProgress(1, 1, 7, 10.0))
+    assert heard == [
+        "car: fit 1 of about 5, iteration 2",
+        "car: fit 3 of about 5, iteration 4, about 12 s remain",
+        "model 2 of 3, cart: fit 1 of about 1, iteration 7",
+    ]
+    monkeypatch.setattr(sysid_progress, "PROGRESS_INTERVAL", 0.0)
     keep_seconds(folder / "logs" / "run_02", 6.0)
     arguments = ["sysid", "--model", "mushr-lag", "logs/run_02", "--extras", "none", "--graph", "paper"]
     assert main(arguments) == 0
-    assert any(re.fullmatch(r"mushr-lag: iteration 1, cost [\d.]+", line) for line in said(capsys))
+    assert any(re.fullmatch("mushr-lag: fit 1 of about [12], iteration 1", line) for line in said(capsys))
     assert main([*arguments, "-q"]) == 0
     assert not any("iteration" in line for line in said(capsys))
 

@@ -16,7 +16,7 @@ def test_a_fast_car_without_lags_is_not_fitted_with_lags() -> None:
     logs = [drive(model, seed, low=(0.3, -0.5)) for seed in range(5)]
     stages = list[str]()
     found = identify_car(logs, on_stage=stages.append)
-    assert stages[:2] == ["car-lag, its wheelbase", "car-lag, the terms that the logs need"]
+    assert stages[:2] == ["model 1 of 3, car-lag, its wheelbase", "model 1 of 3, car-lag, the terms that the logs need"]
     assert found.base.name == "car"
     errors = prediction_errors(found.base.definition, [drive(model, 90)], found.identification.values)
     assert errors.position[3.0] < 0.03

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -18,6 +19,7 @@ from benchmarks.sysid import NOISE, PLAIN, STATED, TRUTH, real_logs, ten_times_s
 from kraft.errors import Code, InputError
 from kraft.logs.log import Log, Part
 from kraft.sysid import Identification, Noise, Settings, identify, predict_windows, prediction_errors
+from kraft.sysid.fit_progress import FitProgress
 from kraft.sysid.optimiser import ParameterUncertainty, estimate_uncertainty
 from kraft.sysid.parameters import parameter_specs, without_bounds
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
@@ -208,10 +210,17 @@ def test_iterations_are_counted_alike_wherever_they_are_said() -> None:
 
 
 def test_whoever_watches_hears_every_iteration_once() -> None:
-    heard: list[tuple[int, float]] = []
-    result = identify(lag(), logs(), on_iteration=lambda made, cost: heard.append((made, cost)))
-    assert [made for made, _ in heard] == list(range(1, result.iterations + 1))
-    assert heard[-1][1] == result.cost
+    heard: list[FitProgress] = []
+    result = identify(lag(), logs(), on_iteration=heard.append)
+    assert len(heard) == result.iterations
+    for before, after in itertools.pairwise(heard):
+        same = after.fit == before.fit
+        assert after.iteration == (before.iteration + 1 if same else 1)
+        assert after.fit - before.fit in (0, 1)
+        assert after.cost <= before.cost or not same
+    assert heard[0].fit == 1
+    assert all(each.fit <= each.fits for each in heard)
+    assert heard[-1].cost == result.cost
 
 
 def said(result: Identification, *words: str) -> bool:
