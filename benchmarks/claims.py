@@ -70,7 +70,7 @@ class Comparison:
         success, collision: differences of the shares, method minus reference, judged over entries as times are.
         entries: number of entries with pairs that both finished successfully.
         ratio: geometric mean over these entries of the method's mean time over the reference's; None without entries.
-        ratio_interval: its 95 % interval, bootstrapped over entries, since the seeds of one entry are alike.
+        ratio_interval: its 95 % interval over entries, since the seeds of one entry are alike.
     """
 
     claim: Claim

@@ -51,9 +51,9 @@ CLAIMS_HEADING = """## What the paper claims
 Replanning, long horizons, feedback and safety each help: the methods of a row differ in this part
 ([and in what else](peers.md#the-papers-claims)), and are compared on the trials that both have, paired by scenario and
 seed. The seeds of one entry are alike, so entries are what intervals and tests count. Differences are in points (method
-minus *instead of*) with a bootstrapped 95 % interval (BCa, over entries) and the p-value of the exact sign-flip test
-over entries. Times are of pairs in which both succeeded: the geometric mean over the entries of the ratio of mean
-times, with a bootstrapped 95 % interval (BCa, over entries). The verdict states what an interval excludes, of successes
+minus *instead of*) with Student's 95 % interval over entries and the p-value of the exact sign-flip test over entries.
+Times are of pairs in which both succeeded: the geometric mean over the entries of the ratio of mean times, with
+Student's 95 % interval of its logarithm over entries. The verdict states what an interval excludes, of successes
 and collisions if p is below 0.05 too; the intervals are not adjusted for their number.
 """
 CLAIMS_TEXT = (

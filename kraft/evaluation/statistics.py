@@ -111,7 +111,7 @@ class PairedDifference:
         gained: number of trials in which only the first one has it.
         lost: number of trials in which only the second one has it.
         difference: share of the first one minus that of the second one.
-        interval: 95 % interval of the difference, bootstrapped over groups.
+        interval: 95 % interval of the difference over groups, see `mean_difference_interval`.
         p: two-sided p-value of the exact sign-flip test over groups.
         least_p: least p-value that this test can give with as many groups in which the methods differ.
     """
@@ -129,8 +129,7 @@ class PairedDifference:
     def shown(self) -> int:
         """1 or -1 if the first method has shown more or less, 0 if there may be no difference.
 
-        The interval and the test have to exclude that: where few groups differ, the interval of the bootstrap alone is
-        too narrow.
+        The interval and the test have to exclude that: the test is exact also where few groups differ.
         """
         low, high = self.interval
         if self.p >= SIGNIFICANT or low <= 0.0 <= high:
@@ -142,8 +141,8 @@ def paired_difference(one: Sequence[bool], other: Sequence[bool], groups: Sequen
     """Compare two methods on the same trials, given in the same order, each with the group that it belongs to.
 
     Trials of a group are alike, as are the seeds of one scenario, so interval and test treat groups as independent, not
-    trials.  The interval is bootstrapped over groups (BCa, 9,999 resamples).  With fewer than three groups, or with the
-    same difference in all of them, which bootstrapping cannot judge, it is `newcombe` with one pair for each group.
+    trials.  The interval is Student's over groups.  With fewer than three groups, or with the same difference in all of
+    them, which do not tell how it varies, it is `newcombe` with one pair for each group.
 
     Raises:
         ValueError: if there is no trial, or not one of each for the other, or not a group for each.
@@ -153,18 +152,22 @@ def paired_difference(one: Sequence[bool], other: Sequence[bool], groups: Sequen
     n = len(one)
     both = sum(a and b for a, b in zip(one, other, strict=True))
     gained, lost = sum(one) - both, sum(other) - both
-    number = {group: k for k, group in enumerate(dict.fromkeys(groups))}
-    changes, sizes = np.zeros(len(number)), np.zeros(len(number))
-    for a, b, group in zip(one, other, groups, strict=True):
-        changes[number[group]] += int(a) - int(b)
-        sizes[number[group]] += 1
-    interval = _share_bootstrap(changes, sizes)
+    differences = [int(a) - int(b) for a, b in zip(one, other, strict=True)]
+    interval, whole = mean_difference_interval(differences, groups), _sums(differences, groups)
     if interval is None:
-        each = len(number) / n
+        each = len(whole) / n
         interval = newcombe(each * both, each * gained, each * lost, each * (n - both - gained - lost))
-    whole = [round(change) for change in changes]
+    interval = max(interval[0], -1.0), min(interval[1], 1.0)
     p, least = sign_flip_p(whole), least_sign_flip_p(sum(change != 0 for change in whole))
     return PairedDifference(n, (sum(one), sum(other)), gained, lost, (gained - lost) / n, interval, p, least)
+
+
+def _sums(values: Sequence[int], groups: Sequence[Hashable]) -> list[int]:
+    """Sum of the values of each group."""
+    sums = dict.fromkeys(groups, 0)
+    for value, group in zip(values, groups, strict=True):
+        sums[group] += value
+    return list(sums.values())
 
 
 def sign_flip_p(changes: Sequence[int]) -> float:
@@ -301,15 +304,10 @@ def _correlation(both: float, gained: float, lost: float, neither: float) -> flo
 
 
 def ratio_interval(one: Sequence[float], other: Sequence[float]) -> tuple[float, float] | None:
-    """Bootstrapped interval (BCa, 9,999 resamples) of the geometric mean of `one` over `other`, pair by pair.
+    """Student's t interval of the geometric mean of `one` over `other`, pair by pair, of the logarithms of the ratios.
 
-    None with fewer than three pairs, or if all have the same ratio, which bootstrapping cannot judge.
+    None with fewer than three pairs, or if all have the same ratio, which does not tell how it varies.
     """
-    from scipy.stats import bootstrap
-
     logs = np.log(np.asarray(one, dtype=float) / np.asarray(other, dtype=float))
-    if len(logs) < 3 or np.ptp(logs) == 0.0:
-        return None
-    generator = np.random.default_rng(0)
-    found = bootstrap((logs,), np.mean, confidence_level=CONFIDENCE, method="BCa", rng=generator).confidence_interval
-    return float(np.exp(found.low)), float(np.exp(found.high))
+    found = mean_difference_interval(logs.tolist(), range(len(logs)))
+    return None if found is None else (float(np.exp(found[0])), float(np.exp(found[1])))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
-from math import comb, prod
+from math import comb, log, prod
 
 import numpy as np
 import pytest
@@ -222,13 +222,30 @@ def test_the_interval_of_a_share_is_that_of_its_groups() -> None:
     assert grouped_share_interval([], []) == (0.0, 1.0)
 
 
-def test_the_bootstrapped_interval_of_ratios_repeats_and_holds_the_geometric_mean() -> None:
+def test_the_interval_of_ratios_is_students_of_their_logarithms() -> None:
     one, other = [8.0, 9.0, 12.0, 11.0, 7.0], [10.0, 10.0, 11.0, 13.0, 9.0]
-    found = ratio_interval(one, other)
-    assert found == ratio_interval(one, other)
+    found, logs = ratio_interval(one, other), mean_interval([log(a / b) for a, b in zip(one, other, strict=True)])
     assert found is not None
-    assert 0.77 < found[0] < prod(a / b for a, b in zip(one, other, strict=True)) ** 0.2 < found[1] < 1.1
+    assert logs is not None
+    assert (log(found[0]), log(found[1])) == pytest.approx(logs)
     assert ratio_interval(one[:2], other[:2]) is ratio_interval([2.0] * 5, [1.0] * 5) is None
+
+
+@pytest.mark.parametrize("entries", [6, 34, 48])
+def test_intervals_over_entries_hold_the_true_difference_and_ratio_about_as_often_as_they_say(entries: int) -> None:
+    """Of six entries, a bootstrap has either in 85 to 88 % of cases; ratios of times are skewed."""
+    random, runs, held = np.random.default_rng(0), 300, [0, 0]
+    groups = [k // 10 for k in range(10 * entries)]
+    for _ in range(runs):
+        one, other = (
+            np.repeat(random.beta(a, b, entries), 10) > random.random(10 * entries) for a, b in ((3, 7), (2, 8))
+        )
+        found = paired_difference(one.tolist(), other.tolist(), groups)
+        held[0] += found.interval[0] <= 0.1 <= found.interval[1]
+        ratio = ratio_interval(np.exp(random.gamma(2.0, 0.06, entries)).tolist(), [1.0] * entries)
+        assert ratio is not None
+        held[1] += ratio[0] <= np.exp(0.12) <= ratio[1]
+    assert all(0.89 * runs <= count <= 0.98 * runs for count in held), held
 
 
 @settings(deadline=None)  # scipy is loaded in it
