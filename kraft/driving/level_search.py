@@ -12,7 +12,7 @@ from kraft.driving.levels import Levels
 from kraft.driving.messages import PlanLoss
 from kraft.driving.plan_search import CORRECTION_ATTEMPTS, PlanQuery, PlanSearch
 from kraft.driving.proposal import Proposal
-from kraft.driving.remainder import RETAINED_TOLERANCE, retain, start_with_best_corrections
+from kraft.driving.remainder import RETAINED_TOLERANCE
 from kraft.driving.search_budget import LEVEL_TIME
 
 STALLED: Final = 0.5
@@ -120,7 +120,4 @@ class LevelSearch:
             or dirt.slack(query.root) < 0.0
         ):
             return False
-        begun = remainder.edges is not None and start_with_best_corrections(
-            dirt, query.root, remainder, self._search.seed_of(query.number), PROBES
-        )
-        return retain(dirt, query.root, remainder, begun) is PlanLoss.NONE
+        return self._search.retain(query, remainder, dirt, PROBES) is PlanLoss.NONE

@@ -124,14 +124,10 @@ class PlanSearch:
             return Proposal(None, "the predicted start of the cycle is in collision or too near to an obstacle")
         if dirt.slack(root) < 0.0:
             return Proposal(None, _lack(dirt, root))
-        lost, retained = PlanLoss.NONE, None
-        if remainder is not None:
-            begun = remainder.edges is not None and start_with_best_corrections(
-                dirt, root, remainder, self.seed_of(query.number), attempts
-            )
-            lost = retain(dirt, root, remainder, begun)  # ll. 1-8
-            if self.settings.switch_gain > 0.0:
-                retained = retained_plan(dirt, remainder)
+        lost = PlanLoss.NONE if remainder is None else self.retain(query, remainder, dirt, attempts)  # ll. 1-8
+        retained = None
+        if remainder is not None and self.settings.switch_gain > 0.0:
+            retained = retained_plan(dirt, remainder)
         progress = self.budget.grow(dirt, query.left, share, is_last)
         plan, refused = self.choose(dirt, retained)
         if plan is not None and self.loss is not None:
@@ -150,6 +146,13 @@ class PlanSearch:
             switch_refused=refused,
             tree=tree,
         )
+
+    def retain(self, query: PlanQuery, remainder: Remainder, dirt: DirtSolver, attempts: int) -> PlanLoss:
+        """Retain a remainder in the query that `dirt` has started, with the best of several corrections of its tree."""
+        begun = remainder.edges is not None and start_with_best_corrections(
+            dirt, query.root, remainder, self.seed_of(query.number), attempts
+        )
+        return retain(dirt, query.root, remainder, begun)
 
     def keep(self, dirt: DirtSolver, plan: Plan | None) -> None:
         """Let the next cycle retain the remainder of a plan, with its tree if the settings say so.

@@ -57,7 +57,6 @@ FORGET = 2.0
 A plain choice: after less, a few searches in a row that fail by chance forget an obstacle that is there; for all of it
 a vehicle stands where the obstacle closes the only way.
 """
-NO_ROOM = "the plan leaves no room for a stop without commands"
 NOISE = 0.1
 """Largest estimated speed of a vehicle that stands, m/s."""
 
@@ -78,6 +77,14 @@ class Decision:
     contingency: Reference | None = None
     origin: ContingencyOrigin | None = None
     stopping: PredictedMotion | None = None
+
+
+@dataclass(frozen=True)
+class Refused:
+    """Why a plan may not be committed, and whether driving it more slowly may help."""
+
+    reason: str
+    may_be_slowed: bool = False
 
 
 class Replanner:
@@ -340,14 +347,14 @@ class Replanner:
             reason = f"the newest observation is {estimate.age:.2f} s old" if old else "no observation has arrived"
             return self._choose_contingency(root, cycle_start, current, reason)
         decision = self._checked(plan, root, cycle_start)
-        if decision == NO_ROOM:
+        if isinstance(decision, Refused) and decision.may_be_slowed:
             slower = (self._checked(each, root, cycle_start) for each in self.proposer.slower(self._number, plan, root))
             decision = next((each for each in slower if isinstance(each, Decision)), decision)
         if isinstance(decision, Decision):
             return decision
-        return self._choose_contingency(root, cycle_start, current, f"from the latest estimate {decision}")
+        return self._choose_contingency(root, cycle_start, current, f"from the latest estimate {decision.reason}")
 
-    def _checked(self, plan: Plan, root: Floats, cycle_start: float) -> Decision | str:
+    def _checked(self, plan: Plan, root: Floats, cycle_start: float) -> Decision | Refused:
         """The decision for a plan, as the controller will track it from `root`, or why it may not be committed."""
         cycle_end = cycle_start + self._settings.cycle
         followed = self._settings.cycle if self._switches else 0.0  # else the law drives on to the end of the plan
@@ -356,20 +363,20 @@ class Replanner:
         if self._one_shot:
             return Decision(reference, predicted, "", plan)
         if predicted.slack < 0.0 and not self.dirt.safety.enabled:
-            return "the motion along the plan may touch an obstacle"
+            return Refused("the motion along the plan may touch an obstacle")
         if predicted.slack < 0.0:
-            return f"the plan lacks {-predicted.slack:.3f} m of clearance"
+            return Refused(f"the plan lacks {-predicted.slack:.3f} m of clearance")
         if not self.dirt.safety.enabled:
             return Decision(reference, predicted, "", plan)
         if self.proposer.loss is not None and self.proposer.loss.slack(predicted) < 0.0:
-            return NO_ROOM
+            return Refused("the plan leaves no room for a stop without commands", may_be_slowed=True)
         if self._moved_from is not None:
             refused = refusal(self.dirt, self._moved_from, root, plan, predicted.states)
             if refused is not None:
-                return refused
+                return Refused(refused)
         stop, stopping = self._contingency_after(reference, predicted.final_state, cycle_start)
         if stop is None:
-            return "no manoeuvre stops safely after the plan"
+            return Refused("no manoeuvre stops safely after the plan")
         return Decision(reference, predicted, "", plan, stop, stopping=stopping)
 
     def _contingency_after(
