@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
+import hypothesis
 import pytest
 from support.paths import ROOT, TESTS
 
@@ -59,6 +60,10 @@ DRIVES = "test_drive.py", "test_faults.py"  # on the wall clock
 def pytest_configure(config: pytest.Config) -> None:
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # shells do so for jobs in the background
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # nohup does
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    hypothesis.settings.register_profile("kraft", deadline=None)  # a deadline tests how busy the machine is
+    hypothesis.settings.load_profile("kraft")
     os.environ.update(ONE_BLAS_THREAD)  # as the command `kraft` does
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # a hundred processes of the tests would compile every module
     in_a_worker = hasattr(config, "workerinput")

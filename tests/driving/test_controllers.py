@@ -376,7 +376,7 @@ def references(draw: Callable[[st.SearchStrategy[object]], object]) -> Reference
 
 
 @ALL
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_commands_are_finite_and_within_bounds_whatever_is_tracked(choice: Settings, data: st.DataObject) -> None:
     model = reversing_car() if data.draw(st.booleans()) else car()

@@ -336,7 +336,7 @@ rows = st.builds(
 )  # fmt: skip
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.lists(rows, max_size=5, unique_by=lambda row: row.key), st.data())
 def test_a_journal_cut_anywhere_holds_its_whole_lines(found: list[TrialRow], data: st.DataObject) -> None:
     content = b"".join(row.model_dump_json().encode() + b"\n" for row in found)

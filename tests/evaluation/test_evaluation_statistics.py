@@ -7,7 +7,7 @@ from math import comb, log, prod
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from kraft.evaluation.statistics import (
@@ -76,7 +76,6 @@ def by_hand(gained: int, lost: int) -> float:
     return min(1.0, 2 * sum(comb(n, k) for k in range(tail + 1)) / 2**n)
 
 
-@settings(deadline=None)  # scipy is loaded in it
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), max_size=60))
 def test_mcnemar_is_the_binomial_test_of_the_discordant_pairs(pairs: list[tuple[bool, bool]]) -> None:
     found = mcnemar({i: a for i, (a, _) in enumerate(pairs)}, {i: b for i, (_, b) in enumerate(pairs)})
@@ -162,7 +161,6 @@ def test_pairs_that_agree_narrow_the_interval_of_their_difference() -> None:
     assert together[1] - together[0] < 0.7 * (apart[1] - apart[0])
 
 
-@settings(deadline=None)  # scipy is loaded in it
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
 def test_groups_of_one_pair_have_the_p_of_the_mcnemar_test(found: list[tuple[bool, bool]]) -> None:
     gained, lost = sum(a and not b for a, b in found), sum(b and not a for a, b in found)
@@ -248,7 +246,6 @@ def test_intervals_over_entries_hold_the_true_difference_and_ratio_about_as_ofte
     assert all(0.89 * runs <= count <= 0.98 * runs for count in held), held
 
 
-@settings(deadline=None)  # scipy is loaded in it
 @given(st.lists(st.integers(-300, 300), min_size=3, max_size=12))
 def test_the_interval_of_a_mean_difference_of_independent_pairs_is_students(ticks: list[int]) -> None:
     values = [tick / 30 for tick in ticks]

@@ -230,7 +230,7 @@ def test_a_wide_table_may_have_a_clock_for_each_stream(tmp_path: Path) -> None:
     assert part.pose_times[0] == pytest.approx(0.004)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     separator=st.sampled_from([",", ";", "\t", " "]),
     comment=st.sampled_from(["", "# made by a tool\n", "# made by a tool\n\n# t is in s\n"]),
@@ -276,7 +276,7 @@ def test_no_name_of_a_column_breaks_the_guess(name: str) -> None:
         assert score is None or isinstance(score, int)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.binary(max_size=400) | st.text(alphabet="txy, \n\"';#0.5e-nan", max_size=200).map(str.encode))
 def test_no_content_breaks_the_reader(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
     path = tmp_path_factory.mktemp("csv") / "a.csv"

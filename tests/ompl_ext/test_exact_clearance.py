@@ -70,7 +70,7 @@ def poses_in(seed: int, count: int) -> np.ndarray:
 
 
 @given(seeds, st.floats(0.05, 0.8), st.floats(0.05, 0.5), st.floats(-0.4, 0.4))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_the_exact_clearance_is_that_of_fcl_over_every_obstacle(
     seed: int, length: float, width: float, offset: float
 ) -> None:

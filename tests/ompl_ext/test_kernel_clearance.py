@@ -39,7 +39,7 @@ def points(seed: int, count: int, low: float = 0.0, high: float = 3.0) -> np.nda
 
 
 @given(seeds, st.sampled_from([0.005, 0.02, 0.05]))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_the_field_never_exceeds_the_exact_distance(seed: int, cell: float) -> None:
     workspace = random_workspace(seed)
     field, exact = clearance_field(workspace, 0.1, cell), ExactClearance(workspace, POINT)
@@ -48,7 +48,7 @@ def test_the_field_never_exceeds_the_exact_distance(seed: int, cell: float) -> N
 
 
 @given(seeds)
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_the_field_gives_away_no_more_than_its_cells(seed: int) -> None:
     workspace = random_workspace(seed, most=1)
     field = clearance_field(workspace, 0.1, 0.01)
@@ -101,7 +101,7 @@ def pinned_dirt(workspace: Workspace, footprint: Footprint, discs: int = 4) -> D
     st.floats(-0.4, 0.4),
     st.integers(1, 8),
 )
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_the_spare_clearance_of_a_pose_never_exceeds_the_exact_clearance(
     seed: int, length: float, width: float, offset: float, discs: int
 ) -> None:
@@ -117,7 +117,7 @@ def test_the_spare_clearance_of_a_pose_never_exceeds_the_exact_clearance(
 
 @example(44620, Settings(excess=0.05))  # a disc around others tells more of them than they do
 @given(seeds, st.sampled_from([Settings(), Settings(excess=0.05)]))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_clearances_of_many_poses_agree_with_the_check_of_each(seed: int, chosen: Settings) -> None:
     workspace, footprint = random_workspace(seed), Footprint(0.44, 0.28, -0.005)
     dirt = DirtSolver(replace(BENCHMARK, footprint=footprint), workspace, GOAL, NO_SAFETY, chosen, capacity=10)
@@ -135,7 +135,7 @@ def test_clearances_of_many_poses_agree_with_the_check_of_each(seed: int, chosen
 
 
 @given(seeds, st.sampled_from([1, 5, 40]))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_the_least_distance_of_poses_is_the_smallest_exact_one(seed: int, count: int) -> None:
     dirt = pinned_dirt(random_workspace(seed), Footprint(0.4, 0.2, 0.1))
     generator = np.random.default_rng(seed)
@@ -155,7 +155,7 @@ def test_a_pose_with_room_to_spare_is_never_refused() -> None:
 
 
 @given(st.floats(0.01, 3.0), st.floats(0.01, 3.0), st.floats(-2.0, 2.0), st.integers(1, 40), seeds)
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_the_discs_cover_every_point_of_the_footprint(
     length: float, width: float, offset: float, discs: int, seed: int
 ) -> None:
@@ -167,7 +167,7 @@ def test_the_discs_cover_every_point_of_the_footprint(
 
 
 @given(st.floats(0.01, 3.0), st.floats(0.01, 3.0), st.floats(-2.0, 2.0))
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_reach_holds_and_the_inscribed_disc_is_held_by_the_footprint(
     length: float, width: float, offset: float
 ) -> None:
@@ -179,7 +179,7 @@ def test_reach_holds_and_the_inscribed_disc_is_held_by_the_footprint(
 
 
 @given(seeds)
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_convex_pieces_have_the_polygons_area_and_turn_left(seed: int) -> None:
     shapes = [o for o in random_workspace(seed).obstacles if isinstance(o, Polygon)]
     for shape in shapes:
@@ -229,7 +229,7 @@ def test_a_pentagram_is_refused_because_it_crosses_itself() -> None:
 
 
 @given(st.integers(0, 12), st.integers(0, 12), seeds)
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_rectangles_cover_exactly_the_occupied_cells_once(rows: int, columns: int, seed: int) -> None:
     occupied = np.random.default_rng(seed).random((rows, columns)) < 0.5
     painted = np.zeros((rows, columns), int)
@@ -343,7 +343,7 @@ def test_an_ear_that_only_rounding_makes_one_is_not_cut_off(corners: list[list[f
 
 
 @given(st.lists(st.integers(1, 12), min_size=4, max_size=16), st.integers(0, 15), seeds)
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_the_pieces_of_a_skyline_cover_it_alone(heights: list[int], first: int, seed: int) -> None:
     """Its outline has right angles on a grid of 5 cm, so that many corners are on common lines."""
     across = [0.05 * k for k in range(len(heights) + 1)]
@@ -354,7 +354,7 @@ def test_the_pieces_of_a_skyline_cover_it_alone(heights: list[int], first: int, 
 
 
 @given(seeds)
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_the_least_slack_of_motions_is_the_smallest_of_their_states(seed: int) -> None:
     safety = Safety(delta=0.05, delta_per_speed=0.2, delta_per_time=0.04, delta_horizon=2.0, near=3.0, far_delta=0.3)
     dirt = DirtSolver(BENCHMARK, random_workspace(seed), GOAL, safety, capacity=10)

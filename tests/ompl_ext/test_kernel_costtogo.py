@@ -127,7 +127,7 @@ def test_twice_the_top_speed_takes_half_the_time() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_where_the_body_can_stand_the_value_is_a_time_or_out_of_reach_and_nothing_between(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cells = OccupancyGrid(rng.random((12, 12)) < 0.25, 0.32, (0.1, 0.1, rng.uniform(-0.1, 0.1)))

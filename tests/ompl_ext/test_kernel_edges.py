@@ -51,7 +51,7 @@ def random_control(vehicle: Vehicle, rng: np.random.Generator) -> Array:
 
 
 @given(seeds, st.floats(0.01, 2.0))
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_an_edge_is_the_runge_kutta_trajectory_of_the_equations(seed: int, duration: float) -> None:
     rng = np.random.default_rng(seed)
     state = np.array([*rng.uniform(-20, 20, 2), rng.uniform(-100, 100), rng.uniform(0, 0.6)])
@@ -63,7 +63,7 @@ def test_an_edge_is_the_runge_kutta_trajectory_of_the_equations(seed: int, durat
 
 
 @given(seeds, st.floats(0.01, 2.0))
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_a_vehicle_of_other_dimensions_is_integrated_as_well(seed: int, duration: float) -> None:
     rng = np.random.default_rng(seed)
     state, control = np.array([*rng.uniform(-9, 9, 3), *rng.uniform(-1, 1, 2)]), random_control(ROVER, rng)
@@ -182,7 +182,7 @@ def assert_no_post_is_driven_over(
 
 
 @given(seeds, st.sampled_from(range(3)), st.sampled_from(BODIES), st.floats(0.1, 1.5), st.integers(3, 10))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_a_car_never_drives_over_a_post_between_two_samples(
     seed: int, which: int, body: Footprint, duration: float, steps: int
 ) -> None:
@@ -194,7 +194,7 @@ def test_a_car_never_drives_over_a_post_between_two_samples(
 
 
 @given(seeds, st.sampled_from(BODIES), st.floats(0.3, 1.0), st.integers(3, 10))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_a_vehicle_that_turns_on_the_spot_never_hits_a_post_between_two_samples(
     seed: int, body: Footprint, duration: float, steps: int
 ) -> None:

@@ -95,7 +95,7 @@ EXTRA = (Circle(np.array([3.2, 3.1]), 0.3), box((0.0, 3.0), (0.8, 0.2), 0.4))
 
 
 @given(seeds, resolutions, yaws, st.booleans())
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_the_fields_of_a_map_never_exceed_the_distance_and_lose_at_most_two_centimetres_where_it_matters(
     seed: int, resolution: float, yaw: float, with_others: bool
 ) -> None:
@@ -111,7 +111,7 @@ def test_the_fields_of_a_map_never_exceed_the_distance_and_lose_at_most_two_cent
 
 
 @given(seeds, yaws)
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_two_maps_that_lie_differently_are_both_kept_away_from(seed: int, yaw: float) -> None:
     second = random_map(seed + 1, 0.04, yaw + 0.7)
     workspace = scene(seed, 0.05, yaw, second)
@@ -124,7 +124,7 @@ def test_two_maps_that_lie_differently_are_both_kept_away_from(seed: int, yaw: f
 
 
 @given(seeds, resolutions, yaws)
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_an_accepted_pose_in_a_map_is_free_for_fcl(seed: int, resolution: float, yaw: float) -> None:
     workspace = scene(seed, resolution, yaw, *EXTRA)
     dirt, exact = pinned(workspace), ExactClearance(workspace, FOOTPRINT)

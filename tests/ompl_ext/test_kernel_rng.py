@@ -48,13 +48,13 @@ def test_the_sequence_of_a_seed_is_pinned() -> None:
 
 
 @given(seeds)
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_any_integer_is_a_seed_and_gives_the_reference_sequence(seed: int) -> None:
     assert drawn(seed, 5) == split_mix(int(generator(seed)[0]), 5)
 
 
 @given(seeds, st.integers(1, 2**64 - 1))
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_seeds_that_differ_modulo_two_to_the_64_give_different_sequences(seed: int, other: int) -> None:
     assert drawn(seed, 2) != drawn(seed + other, 2)
     assert drawn(seed, 2) == drawn(seed + 2**64, 2)

@@ -84,7 +84,7 @@ def test_arc_tangent_never_reaches_beyond_half_pi() -> None:
 
 
 @given(angles)
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 def test_sine_tangent_and_arc_tangent_are_odd_and_cosine_is_even_to_the_last_bit(x: float) -> None:
     assert trigonometry.sin(-x) == -trigonometry.sin(x)
     assert trigonometry.cos(-x) == trigonometry.cos(x)
@@ -113,7 +113,7 @@ def test_arc_tangent_of_nan_is_nan() -> None:
 
 
 @given(angles)
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 def test_the_source_run_by_python_gives_the_bits_of_the_compiled_function(x: float) -> None:
     for function in (trigonometry.sin, trigonometry.cos, trigonometry.atan):
         assert function.py_func(x) == function(x)

@@ -212,7 +212,7 @@ def test_numbers_too_large_for_a_double_are_refused(text: str, tmp_path: Path) -
         assert "durations[0] value" in keys_and_codes(problems)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(place=st.floats(0, 1), what=st.binary(max_size=6), cut=st.integers(0, 6))
 def test_a_damaged_file_is_read_as_a_plan_or_refused_never_anything_else(
     place: float, what: bytes, cut: int, text: str, tmp_path: Path
@@ -230,7 +230,7 @@ def test_a_damaged_file_is_read_as_a_plan_or_refused_never_anything_else(
     assert len(plan.states) == len(plan.durations) + 1 == len(plan.controls) + 1
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(keep=st.floats(0, 0.999))
 def test_a_truncated_file_is_refused(keep: float, text: str, tmp_path: Path) -> None:
     assert wrong(tmp_path, text.encode()[: int(keep * (len(text) - 2))])

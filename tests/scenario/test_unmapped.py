@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -83,7 +83,6 @@ def test_of_several_maps_one_that_says_occupied_decides_about_what_none_of_them_
     assert sorted(left.vertices) == [(0.0, 0.0), (0.0, 4.0), (2.0, 0.0), (2.0, 4.0)]
 
 
-@settings(deadline=None)
 @given(
     st.lists(
         st.tuples(st.floats(-6, 6), st.floats(-6, 6), st.floats(-4, 4), st.integers(1, 60), st.integers(1, 60)),
