@@ -67,6 +67,8 @@ def check_arguments(settings: UserCode) -> None:
     named = user_class(settings)
     try:
         inspect.signature(named).bind(None, **settings.settings)
+    except ValueError:  # a class in C has no signature: it is found out when it is made
+        return
     except TypeError as error:
         expected = f"expected {named.__name__}{inspect.signature(named)}, with the vehicle's model first"
         raise InputError.of(settings.code, f"does not take its settings: {error}", expected, Code.CODE) from None
