@@ -58,6 +58,26 @@ def test_a_count_of_causes_does_not_touch_the_edge_of_its_colour_on_a_phone(tab:
     assert padding >= 6
 
 
+@pytest.mark.parametrize("width", [360, 390, 560, 600])
+def test_the_words_of_the_list_of_trials_are_not_broken_on_a_phone(width: int, tab: Page, driven: Driven) -> None:
+    tab.set_viewport_size({"width": width, "height": 844})
+    tab.goto(driven.url)
+    words = tab.locator(".trials-list td:nth-child(-n+4)").evaluate_all("""all => all.flatMap(cell => {
+        const found = [], texts = document.createTreeWalker(cell, NodeFilter.SHOW_TEXT);
+        while (texts.nextNode()) {
+            for (const word of texts.currentNode.textContent.matchAll(/\\S+/g)) {
+                const range = document.createRange();
+                range.setStart(texts.currentNode, word.index);
+                range.setEnd(texts.currentNode, word.index + word[0].length);
+                found.push([word[0], new Set([...range.getClientRects()].map(box => Math.round(box.top))).size]);
+            }
+        }
+        return found;
+    })""")
+    assert len(words) > 10
+    assert [word for word, lines in words if lines > 1] == []
+
+
 @pytest.mark.parametrize(("width", "shown"), [(390, "phone"), (820, "tablet"), (1600, "desk")])
 def test_the_picture_of_a_sweep_fits_the_window_and_its_words_can_be_read(
     width: int, shown: str, tab: Page, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
