@@ -21,6 +21,7 @@ import pickletools
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, Self
@@ -101,6 +102,16 @@ def layers(folder: Path) -> tuple[Path, ...]:
         return (folder,)
     temporary = temporary_root()
     return (folder,) if temporary in (None, root) else (folder, temporary / folder.relative_to(root))
+
+
+@cache
+def note_use(folder: Path) -> None:
+    """Note, once in a process, that a folder of kernels is used, so that nobody takes it for an old one.
+
+    A folder that this user may only read stays as it is: this user cannot remove it either.
+    """
+    with suppress(OSError):
+        os.utime(folder)
 
 
 def is_marked(marker: Path) -> bool:
@@ -238,6 +249,8 @@ class _Files:
             check_owner(layer)
             try:
                 content = self._in(layer).load(key)
+                if content is not None:
+                    note_use(layer.parent)
             except DAMAGED as error:
                 raise _damaged(layer, self._folder, error) from error
             except OSError as error:

@@ -23,15 +23,27 @@ def doctor(
             autocompletion=completion.robots,
         ),
     ] = None,
+    remove_kernels: Annotated[
+        int | None,
+        typer.Option(
+            metavar="DAYS",
+            min=1,
+            help="First remove compiled kernels of other versions of kraft or other processors that are unused for "
+            "DAYS days.",
+        ),
+    ] = None,
     json: Json = False,
 ) -> ExitStatus:
     """Check the installation, and the topics of a robot.
 
     Python, packages, processor, kernel cache and rendering.
     """
+    from kraft_cli.work import doctor as work
     from kraft_cli.work.doctor import examine
 
     terminal: Terminal = context.obj
+    if remove_kernels is not None:
+        terminal.info(work.remove_kernels(remove_kernels))
     findings = examine()
     if robot is not None:
         from kraft_cli.work.doctor import examine_robot

@@ -8,8 +8,9 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 import kraft.matplotlib_folder  # noqa: F401  (before matplotlib)
 from kraft import __version__
@@ -21,6 +22,13 @@ from kraft.provenance import install_command
 from kraft.text import counted
 from ompl_ext.cache_error import CacheError
 from ompl_ext.cores import usable_cores
+from ompl_ext.memory import in_words
+
+if TYPE_CHECKING:
+    from ompl_ext.old_kernels import OldKernels
+
+MONTH: Final = 30
+"""Time without use after which kernels of other versions or processors count as no longer needed, days."""
 
 State: TypeAlias = Literal["ok", "note", "missing"]
 
@@ -63,7 +71,7 @@ _GL_TRIAL: Final = "from kraft.gl import offscreen_context; offscreen_context(16
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of one check. ``note`` means that something optional is missing."""
+    """Result of one check. ``note`` means that something optional is missing, or is kept and no longer needed."""
 
     subject: str
     state: State
@@ -75,7 +83,25 @@ def examine() -> list[Finding]:
     findings = [_python(), Finding("kraft", "ok", __version__), _files()]
     findings += [_package(name, module) for name, module in REQUIRED.items()]
     findings += [_extra(name, *use) for name, use in OPTIONAL.items()]
-    return [*findings, _processor(), _cache(), _rendering()]
+    return [*findings, _processor(), _cache(), *_old_kernels(), _rendering()]
+
+
+def remove_kernels(days: int) -> str:
+    """Remove kernels of other versions or processors that are unused for so many days; what is gone, in words.
+
+    Raises:
+        MissingAsset: the kernel cache cannot be used.
+    """
+    from ompl_ext.old_kernels import old_kernels, remove
+
+    try:
+        unused = [old for old in old_kernels() if old.is_unused(days)]
+    except CacheError as error:
+        raise MissingAsset(str(error)) from None
+    gone = remove(unused, days)
+    words = f"removed {_folders(gone)} unused for {counted(days, 'day')}"
+    kept = len(unused) - len(gone)
+    return f"{words}; {counted(kept, 'other')} could not be removed" if kept else words
 
 
 def examine_robot(name: str) -> list[Finding]:
@@ -143,6 +169,27 @@ def _cache() -> Finding:
     kept = f"{root.absolute()}, {counted(files, 'file')}"
     more = "" if folder == root else f"; it cannot be written, and what is compiled is kept in {folder}"
     return Finding("kernel cache", "ok", kept + more)
+
+
+def _old_kernels() -> list[Finding]:
+    """Kernels of other versions or processors, if there are any, and what removes those that are long unused."""
+    from ompl_ext.old_kernels import old_kernels
+
+    try:
+        old = old_kernels()
+    except CacheError:  # the finding about the cache says so
+        return []
+    if not old:
+        return []
+    unused, kept = [each for each in old if each.is_unused(MONTH)], f"{_folders(old)} of other versions or processors"
+    if not unused:
+        return [Finding("old kernels", "ok", kept)]
+    advice = f"kraft doctor --remove-kernels {MONTH} removes {_folders(unused)} unused for {MONTH} days"
+    return [Finding("old kernels", "note", f"{kept}; {advice}")]
+
+
+def _folders(kernels: Sequence[OldKernels]) -> str:
+    return f"{counted(len(kernels), 'folder')} ({in_words(sum(each.size for each in kernels))})"
 
 
 def _rendering() -> Finding:

@@ -400,6 +400,24 @@ def test_the_doctor_reads_the_files_of_the_cache(monkeypatch: pytest.MonkeyPatch
     assert f"{file.parents[1]}: the kernel cache has damaged files: {file.name}" in found.detail
 
 
+def test_the_doctor_names_old_kernels_and_removes_them(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("KRAFT_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(environment, "examine", environment._old_kernels)
+    assert environment._old_kernels() == []
+    old = cache_folder().parents[1] / f"{'a' * 16}-{'0' * 8}"
+    old.mkdir(parents=True)
+    assert environment._old_kernels()[0].state == "ok"
+    os.utime(old, (0.0, 0.0))
+    (finding,) = environment._old_kernels()
+    assert (finding.state, "kraft doctor --remove-kernels 30" in finding.detail) == ("note", True)
+    assert main(["doctor", "--remove-kernels", "30"]) == 0
+    assert "removed 1 folder (0 MB) unused for 30 days" in capsys.readouterr().err
+    assert not old.exists()
+    assert main(["doctor", "--remove-kernels", "0"]) == 2
+
+
 @pytest.mark.parametrize("backend", ["foo", "glfw"])
 def test_the_doctor_finds_a_way_to_draw_that_draws_nothing(backend: str) -> None:
     hidden = {name: text for name, text in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}

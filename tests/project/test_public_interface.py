@@ -46,7 +46,7 @@ IMPORTS = [
 
 COMMANDS = {
     "compare": "a b --json",
-    "doctor": "--json --robot",
+    "doctor": "--json --remove-kernels --robot",
     "drive": "scenario --bag --json --method --out --robot --seed --set --vehicle",
     "eval": "scenarios --cluster --jobs --json --methods --out --realtime --resume --seed --set --suite --trials --vary --vehicle",
     "generate": "kind --count --density --json --out --seed --vehicle",
