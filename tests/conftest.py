@@ -62,7 +62,9 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # nohup does
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    hypothesis.settings.register_profile("kraft", deadline=None)  # a deadline tests how busy the machine is
+    # deadlines and the time that examples take to make tell how busy the machine is
+    busy = [hypothesis.HealthCheck.too_slow]
+    hypothesis.settings.register_profile("kraft", deadline=None, suppress_health_check=busy)
     hypothesis.settings.load_profile("kraft")
     os.environ.update(ONE_BLAS_THREAD)  # as the command `kraft` does
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # a hundred processes of the tests would compile every module
