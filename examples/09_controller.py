@@ -8,7 +8,6 @@ python examples/09_controller.py
 import math
 
 import kraft
-from kraft.driving.control_settings import UserCode
 from kraft.driving.messages import Estimate, Reference
 from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats
@@ -21,6 +20,8 @@ class PurePursuit:
 
     def __init__(self, model: VehicleModel, lookahead: float = 0.6, gain: float = 2.0) -> None:
         """`lookahead` is in seconds, `gain` is throttle per metre."""
+        if tuple(model.vehicle.controls) != ("throttle", "steering"):
+            raise ValueError(f"this law is for cars, and {model.vehicle.name} has other controls")
         self._model, self._lookahead, self._gain = model, lookahead, gain
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
@@ -39,7 +40,7 @@ class PurePursuit:
 
 if __name__ == "__main__":
     base = kraft.load_method("adaptive-kraft")
-    controller = UserCode(kind="code", code=f"{__file__}:PurePursuit", settings={"lookahead": 0.6})
+    controller = {"kind": "code", "code": PurePursuit, "settings": {"lookahead": 0.6}}
     own = base.model_copy(update={"name": "pure-pursuit", "title": "KRAFT + pure pursuit", "controller": controller})
     found = kraft.evaluate(["turns"], ["adaptive-kraft", own], trials=2, seed=1000)
     for result in found.summary.results:

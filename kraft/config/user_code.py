@@ -7,6 +7,7 @@ import importlib
 import importlib.util
 import re
 import sys
+import sysconfig
 import traceback
 from pathlib import Path
 from types import ModuleType
@@ -18,6 +19,7 @@ from kraft.errors import Code, InputError
 _ATTRIBUTE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*\Z")
 _FILE = re.compile(r"(?P<file>.+\.py)(:(?P<attribute>[A-Za-z_]\w*))?\Z", re.DOTALL)
 _OURS: Final = Path(__file__).parents[1], Path(ompl_ext.__file__).parent
+_INSTALLED: Final = tuple(Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib"))
 
 
 def is_attribute(text: str) -> bool:
@@ -93,14 +95,28 @@ def import_error(error: BaseException, subject: str, expected: str) -> InputErro
 
 def with_place(error: BaseException) -> str:
     """Type and text of an exception that the user's code raised, and its last line there."""
-    files = [frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith("<")]
-    theirs = [frame for frame in files if "importlib" not in frame.filename and not _is_ours(frame.filename)]
-    place = f" at {theirs[-1].filename}:{theirs[-1].lineno}" if theirs else ""
-    return f"{type(error).__name__}: {error}{place}"
+    place = line_of(error)
+    return described(error) + ("" if place is None else f" at {place[0]}:{place[1]}")
 
 
-def _is_ours(file: str) -> bool:
-    return any(Path(file).is_relative_to(folder) for folder in _OURS)
+def described(error: BaseException) -> str:
+    """Type and text of an exception."""
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+
+
+def line_of(error: BaseException) -> tuple[str, int] | None:
+    """File and line in the user's code that an exception comes from: the last one that no installed package has.
+
+    None if the traceback has only lines of kraft.
+    """
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith("<")]
+    theirs = [f for f in frames if "importlib" not in f.filename and not _is_within(f.filename, _OURS)]
+    own = [frame for frame in theirs if not _is_within(frame.filename, _INSTALLED)] or theirs
+    return (own[-1].filename, own[-1].lineno or 1) if own else None
+
+
+def _is_within(file: str, folders: tuple[Path, ...]) -> bool:
+    return any(Path(file).is_relative_to(folder) for folder in folders)
 
 
 def place_of(module: ModuleType) -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Final, Literal, TypeAlias, get_args
+import inspect
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Field, field_validator
+from pydantic_core import PydanticCustomError
 
-from kraft.config.schema import NonNegative, Number, Positive, StrictModel, Symbol, refuse
+from kraft.config.schema import NonNegative, Positive, StrictModel, Symbol, describe, is_number, refuse
 from kraft.config.user_code import is_attribute, split_file
 from kraft.errors import Code
 from ompl_ext.query import Safety
@@ -22,8 +24,6 @@ LeadGain = Annotated[float, Field(ge=-1000, le=1000)]
 """Gain on a rate of change; a negative one makes the response slower."""
 Deviation = Annotated[float, Field(ge=1e-6, le=1e6)]
 """Standard deviation, or an error that weighs 1: squares of the ratio of two of them have to be numbers."""
-Setting: TypeAlias = bool | int | Number | str | tuple[Number, ...]
-"""Setting of a class of the user's own."""
 
 
 class OpenLoop(StrictModel):
@@ -192,10 +192,32 @@ class UserCode(StrictModel):
     """commands per second"""
     code: str
     """the class, as in `pure_pursuit.py:PurePursuit`; a path is relative to the file"""
-    settings: Mapping[Symbol, Setting] = {}
-    """keyword arguments of the class, beside the vehicle's model"""
+    settings: Mapping[Symbol, Any] = {}
+    """keyword arguments of the class, beside the vehicle's model: true or false, numbers, text, lists of numbers"""
     objective: Literal["goal", "plan"] = "plan"
     """`plan` tracks the plan, `goal` heads for the goal by itself"""
+
+    @classmethod
+    def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
+        """Check the values of the settings."""
+        settings = content.get("settings")
+        for key, value in settings.items() if isinstance(settings, Mapping) else ():
+            items = value if isinstance(value, tuple) else (value,)
+            if not (isinstance(value, bool | str) or all(map(is_number, items))):
+                expected = "expected true, false, a number, text or a list of numbers"
+                yield refuse(f"is {describe(value)}", expected, ("settings", str(key)), Code.TYPE)
+
+    @field_validator("code", mode="before")
+    @classmethod
+    def _of_class(cls, value: object) -> object:
+        """A class in Python as the place of its code, from which every process imports it."""
+        if not isinstance(value, type):
+            return value
+        try:
+            return f"{inspect.getfile(value)}:{value.__name__}"
+        except (TypeError, OSError):
+            problem = f"is the class {value.__name__}, which no file defines"
+            raise refuse(problem, "expected a class that is defined in a file") from None
 
     @field_validator("code")
     @classmethod

@@ -365,7 +365,11 @@ class Method(StrictModel):
             yield refuse(problem, "expected `estimator: {kind: adaptive}`", ("planner", "bound"), Code.CONFLICT)
         objective = controller.get("objective", "goal" if controller.get("kind") in PREDICTIVE else "plan")
         heads_for_goal = objective == "goal" and controller.get("kind") in (*PREDICTIVE, "code")
-        if planner.get("type") == "geodesic" and not heads_for_goal:
+        if planner.get("type") == "geodesic" and controller.get("kind") == "code" and not heads_for_goal:
+            problem = "is `plan`, but `planner: {type: geodesic}` makes no plan that a vehicle can track"
+            expected = "expected `objective: goal` if the class heads for the goal by itself, or another planner"
+            yield refuse(problem, expected, ("controller", "objective"), Code.CONFLICT)
+        elif planner.get("type") == "geodesic" and not heads_for_goal:
             expected = "expected a controller that has `objective: goal`"
             yield refuse("is a path that no vehicle can track", expected, ("planner", "type"), Code.CONFLICT)
         elif planner.get("type") != "geodesic" and heads_for_goal:

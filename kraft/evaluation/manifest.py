@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from kraft.driving.control.user_controller import code_content
+from kraft.driving.control.user_controller import CODE_HASH, code_content
 from kraft.driving.control_settings import UserCode
 from kraft.driving.method import Method
 from kraft.errors import Code, Diagnostic, InputError
@@ -232,6 +232,8 @@ def _difference(keys: tuple[str, ...], before: Any, after: Any) -> str:
     known = keys[0] in SECTIONS and len(keys) == 2
     if known and before is MISSING:
         return f"{part} is not in the folder's evaluation"
+    if keys[-1] == CODE_HASH and MISSING not in (before, after):
+        return "the file of the controller's code has changed"
     return f"{part} is missing now" if known and after is MISSING else difference_text(before, after)
 
 
@@ -241,6 +243,8 @@ def _expected(keys: tuple[str, ...], before: Any) -> str:
         return f"expected at least {before}, or another folder"
     if keys[0] == "methods" and len(keys) == 2:
         return "expected it among the methods, as they may become more but not fewer, or another folder"
+    if keys[-1] == CODE_HASH:
+        return "expected no change, or another folder for this method; kraft compare shows two folders together"
     return "expected no change, or another folder"
 
 

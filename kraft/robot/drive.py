@@ -125,7 +125,9 @@ def check_method(method: Method) -> None:
     if isinstance(method.estimator, Oracle):
         wrong("estimator.kind", "is the truth, which no robot has", "expected another estimator")
     if needs_map(method):
-        wrong("controller.kind", f"is {method.controller.kind}, which needs the map", "expected one that tracks plans")
+        kind = method.controller.kind
+        what = "code with set_map" if kind == "code" else kind
+        wrong("controller.kind", f"is {what}, which needs the map", "expected a controller that tracks plans")
     if planner.mode != "replanning" or planner.on_board != "contingency":
         problem = "leaves the vehicle without a contingency on board"
         wrong(

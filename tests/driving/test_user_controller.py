@@ -22,6 +22,7 @@ from kraft.driving.solvers import Solvers
 from kraft.errors import Code, UserCodeError
 from kraft.evaluation import evaluator
 from kraft_cli.main import main
+from ompl_ext.arrays import Floats
 
 CONTROLLERS = """
 import numpy as np
@@ -37,7 +38,8 @@ class Counts:
 
     def command(self, estimate, reference):
         self.count += 0.1
-        estimate.state[:] = np.nan  # its own copy
+        estimate.state[:] = np.nan  # its own copies
+        reference.controls[:] = np.nan
         return self.count, 7.0
 
 class Mapped(Counts):
@@ -73,10 +75,28 @@ class Infinite(Plain):
     def command(self, estimate, reference):
         return [np.inf, 0.0]
 
+class Exits(Plain):
+    def command(self, estimate, reference):
+        raise SystemExit(5)
+
+class Locked(Plain):
+    def __init__(self, model):
+        import threading
+        self.lock = threading.Lock()
+
 class Nothing: ...
 
 NUMBER = 3
 """
+
+
+class Plain:
+    """Sends what is planned."""
+
+    def __init__(self, model: CarModel) -> None: ...
+
+    def command(self, estimate: Estimate, reference: Reference) -> Floats:
+        return reference.control_at(estimate.time)
 
 
 @cache
@@ -127,6 +147,7 @@ def test_it_is_given_the_model_the_settings_and_a_seed_and_its_commands_are_clam
     controller, now = made(file, "Counts", first=0.2), estimate()
     assert controller.command(now, PLAN).tolist() == [pytest.approx(0.3), model().high[1]]
     assert np.isfinite(now.state).all(), "it changes only its own copy of the state"
+    assert np.isfinite(PLAN.controls).all(), "and of the plan"
     assert own(controller).model is model()
     assert own(controller).seed == 7
 
@@ -154,21 +175,37 @@ def test_it_is_given_every_map_if_it_wants_them(file: Path) -> None:
     assert [d.code for d in raised(lambda: make_controller(settings(file, "Mapped"), model()))] == [Code.CONFLICT]
 
 
-@pytest.mark.parametrize("name", ["Fails", "One", "Text", "Infinite"])
-def test_what_a_command_does_wrong_is_said(file: Path, name: str) -> None:
+@pytest.mark.parametrize("name", ["One", "Text", "Infinite"])
+def test_a_command_that_is_no_control_is_refused_with_its_time(file: Path, name: str) -> None:
     controller = made(file, name)
     with pytest.raises(UserCodeError) as error:
         controller.command(estimate(), PLAN)
     (problem,) = error.value.diagnostics
     assert (problem.file, problem.code) == (f"{file}:{name}", Code.CODE)
-    if name == "Fails":
-        line = CONTROLLERS.splitlines().index("        return 1 / 0") + 1
-        assert f"ZeroDivisionError: division by zero at {file}:{line}" in problem.problem
+    assert "0.50 s" in problem.problem
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [("Fails", "        return 1 / 0"), ("Exits", "        raise SystemExit(5)")]
+)
+def test_an_error_in_a_command_is_said_at_its_line(file: Path, name: str, text: str) -> None:
+    controller = made(file, name)
+    with pytest.raises(UserCodeError) as error:
+        controller.command(estimate(), PLAN)
+    (problem,) = error.value.diagnostics
+    assert (problem.file, problem.line) == (str(file), CONTROLLERS.splitlines().index(text) + 1)
+    assert "0.50 s" in problem.problem
 
 
 def test_an_error_of_its_construction_is_said(file: Path) -> None:
     with pytest.raises(UserCodeError, match="RuntimeError: not today"):
         made(file, "FailsAtOnce")
+
+
+def test_what_cannot_be_copied_for_a_prediction_is_said(file: Path) -> None:
+    controller = made(file, "Locked")
+    with pytest.raises(UserCodeError, match=r"cannot pickle .*, in copying Locked for a prediction; .*__deepcopy__"):
+        copy.deepcopy(controller)
 
 
 def method(folder: Path, controller: str) -> Path:
@@ -190,6 +227,10 @@ def method(folder: Path, controller: str) -> Path:
         ("code: controllers.py:Counts, settings: {frist: 1}", ["4:32 controller.code code"]),
         ("settings: {}", ["4:1 controller.code missing"]),
         ("code: controllers.py:Counts, objective: goal", ["4:66 controller.objective conflict"]),
+        (
+            "code: controllers.py:Counts, settings: {first: [[1]], x: null}",
+            ["4:73 controller.settings.first type", "4:83 controller.settings.x type"],
+        ),
     ],
 )
 def test_problems_are_found_before_the_drive_at_their_line(file: Path, controller: str, found: list[str]) -> None:
@@ -205,6 +246,24 @@ def test_a_path_is_relative_to_the_file_that_has_it_also_as_a_base(file: Path, t
     derived.write_text(f"base: {base}\nname: derived\ntitle: Derived\ncontroller: {{rate_hz: 20}}\n")
     controller = load_method(derived).controller
     assert controller == UserCode(kind="code", code=f"{file}:Counts", settings={"first": 0.5}, rate_hz=20.0)
+
+
+def test_a_class_that_tracks_plans_takes_no_place_of_one_that_heads_for_the_goal(file: Path) -> None:
+    path = method(file.parent, "code: controllers.py:Counts")
+    path.write_text(path.read_text().replace("adaptive-kraft", "mppi"))
+    assert located(raised(lambda: load_method(path))) == ["4:1 controller.objective conflict"]
+
+
+def test_in_python_the_class_itself_names_its_code(file: Path) -> None:
+    base = load_method("adaptive-kraft")
+    own = base.model_copy(update={"controller": {"kind": "code", "code": Plain}})
+    assert own.controller == UserCode(kind="code", code=f"{__file__}:Plain")
+    check_available(own)
+    wrong = base.model_copy(update={"controller": {"kind": "code", "code": f"{file}:Count"}})
+    (problem,) = raised(lambda: check_available(wrong))
+    assert problem.file == f"{file}:Count", "and not the file of the base"
+    (problem,) = raised(lambda: base.model_copy(update={"controller": {"kind": "code", "code": int}}))
+    assert problem.path == "controller.code"
 
 
 def test_only_a_class_that_wants_the_map_needs_it(file: Path) -> None:
@@ -225,8 +284,8 @@ def test_a_trial_that_it_fails_in_is_recorded_and_a_change_of_the_code_is_notice
     assert main(arguments) == 2
     line = next(n for n, text in enumerate(CONTROLLERS.splitlines(), 1) if "estimate.speed" in text)
     said = capsys.readouterr().err
-    assert f"AttributeError: 'Estimate' object has no attribute 'speed' at {file}:{line}" in said
+    assert f"{file}:{line}: AttributeError: 'Estimate' object has no attribute 'speed'" in said
     assert "because of an error in the controller's own code" in said
     file.write_text(CONTROLLERS + "\n# changed\n")
     assert main([*arguments, "--resume"]) == 2
-    assert "methods.own.content.controller.sha256" in capsys.readouterr().err
+    assert "methods.own.content.controller.code_sha256" in capsys.readouterr().err

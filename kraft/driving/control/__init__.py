@@ -98,11 +98,14 @@ def check_code(method: Method) -> None:
 
 
 def _at_its_line(method: Method, call: Callable[[], Result]) -> Result:
-    """Result of a call, whose errors are about the code that the method names."""
+    """Result of a call, whose errors are about the code that the method names; it may come from Python instead."""
+    key, source = ("controller", "code"), method.source
     try:
         return call()
     except InputError as error:
-        at = method.source.diagnostic
+        if key not in source.values and source.replacement(key) is None:
+            raise
+        at = source.diagnostic
         raise InputError(
             at("controller.code", d.problem, d.expected, code=d.code) for d in error.diagnostics
         ) from error

@@ -22,16 +22,18 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from kraft.config.user_code import imported, place_of, with_place
+from kraft.config.user_code import described, imported, line_of, place_of
 from kraft.driving.control_settings import UserCode
 from kraft.driving.messages import Controller, Estimate, Reference, ReferenceKind
 from kraft.driving.vehicle_model import VehicleModel
-from kraft.errors import Code, InputError, UserCodeError
+from kraft.errors import Code, Diagnostic, InputError, UserCodeError
 from kraft.text import suggestion
 from ompl_ext.arrays import Floats
 from ompl_ext.solver import DirtSolver
 
 _EXPECTED: Final = "expected code that defines a class with the function command(self, estimate, reference)"
+CODE_HASH: Final = "code_sha256"
+"""Key of the SHA-256 of the file."""
 
 
 def user_class(settings: UserCode) -> type[Any]:
@@ -82,7 +84,7 @@ def code_content(settings: UserCode) -> dict[str, Any]:
     """
     module, name = imported(settings.code, settings.code, _EXPECTED)
     file = Path(place_of(module))
-    return {"code": f"{file.name}:{name}", "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+    return {"code": f"{file.name}:{name}", CODE_HASH: hashlib.sha256(file.read_bytes()).hexdigest()}
 
 
 class UserController:
@@ -98,13 +100,20 @@ class UserController:
             UserCodeError: if it raises an error.
         """
         check_arguments(settings)
-        self._reference, self._model, self.law, self._dirt = settings.code, model, law, dirt
-        self._own: Any = self._result_of(lambda: user_class(settings)(model, **settings.settings))
+        named = user_class(settings)
+        self._name, self._reference, self._model, self.law, self._dirt = named.__name__, settings.code, model, law, dirt
+        self._shown: tuple[Reference, Reference] | None = None
+        takes = f"expected {named.__name__}{inspect.signature(named)} to take the vehicle's model"
+        self._own: Any = self._result_of(
+            lambda: named(model, **settings.settings), f"in making {named.__name__}", takes
+        )
         if hasattr(self._own, "set_seed"):
-            self._result_of(lambda: self._own.set_seed(seed))
+            self._result_of(
+                lambda: self._own.set_seed(seed), f"in set_seed of {named.__name__}", "expected it to take a number"
+            )
         if hasattr(self._own, "set_map") and dirt is None:
             expected = "expected a class without set_map, which tracks plans"
-            raise InputError.of(settings.code, "needs the map", expected, Code.CONFLICT)
+            raise InputError.of(settings.code, "has set_map, which needs the map", expected, Code.CONFLICT)
         if dirt is not None:
             self.set_map(dirt)
 
@@ -112,7 +121,10 @@ class UserController:
         """Copy the state of the class and of the law; share model and map."""
         result = copy.copy(self)
         memo[id(self._dirt)] = self._dirt
-        result._own = self._result_of(lambda: copy.deepcopy(self._own, memo))
+        copied = "expected attributes that copy.deepcopy copies, or a function __deepcopy__"
+        result._own = self._result_of(
+            lambda: copy.deepcopy(self._own, memo), f"in copying {self._name} for a prediction", copied
+        )
         result.law = copy.deepcopy(self.law, memo)
         return result
 
@@ -120,7 +132,8 @@ class UserController:
         """Give the map of another solver to the class, if it wants it."""
         self._dirt = dirt
         if hasattr(self._own, "set_map"):
-            self._result_of(lambda: self._own.set_map(dirt))
+            expected = "expected it to take the planner's solver"
+            self._result_of(lambda: self._own.set_map(dirt), f"in set_map of {self._name}", expected)
 
     def command(self, estimate: Estimate, reference: Reference) -> Floats:
         """Control (nu,) that the class returns for the estimate's time, clamped to the bounds.
@@ -130,26 +143,40 @@ class UserController:
         """
         if reference.kind is ReferenceKind.CONTINGENCY:
             return self.law.command(estimate, reference)
-        own = replace(estimate, state=estimate.state.copy())  # which it may change
-        return self._model.clamped(self._checked(self._result_of(lambda: self._own.command(own, reference))))
+        own = replace(estimate, state=estimate.state.copy())  # which it may change, as the reference
+        names = ", ".join(self._model.vehicle.controls)
+        where = f"in command of {self._name} at {estimate.time:.2f} s"
+        expected = f"expected a finite number for each of {names}"
+        returned = self._result_of(lambda: self._own.command(own, self._copy_of(reference)), where, expected)
+        return self._model.clamped(self._checked(returned, where, expected))
 
-    def _checked(self, returned: Any) -> Floats:
+    def _copy_of(self, reference: Reference) -> Reference:
+        """Copy of a reference, the same one while the reference is the same."""
+        if self._shown is None or self._shown[0] is not reference:
+            times, states, controls = reference.times.copy(), reference.states.copy(), reference.controls.copy()
+            copied = replace(reference, times=times, states=states, controls=controls, rest=reference.rest.copy())
+            self._shown = reference, copied
+        return self._shown[1]
+
+    def _checked(self, returned: Any, where: str, expected: str) -> Floats:
         """The returned control (nu,) as numbers."""
-        names = self._model.vehicle.controls
         try:
             control: Floats = np.asarray(returned, dtype=np.float64)
         except (TypeError, ValueError):
             control = np.zeros(0)
-        if control.shape != (len(names),) or not np.isfinite(control).all():
-            problem = f"command returned {returned!r}"
-            expected = f"expected a finite number for each of {', '.join(names)}"
-            raise UserCodeError.of(self._reference, problem, expected, Code.CODE)
+        if control.shape != (len(self._model.vehicle.controls),) or not np.isfinite(control).all():
+            raise UserCodeError.of(self._reference, f"returned {returned!r} {where}", expected, Code.CODE)
         return control
 
-    def _result_of(self, call: Callable[[], Any]) -> Any:
-        """Result of a call of the user's code, with its errors at their line."""
+    def _result_of(self, call: Callable[[], Any], where: str, expected: str) -> Any:
+        """Result of a call of the user's code; its errors are said with their line, `where` and what is `expected`.
+
+        Raises:
+            UserCodeError: if the code raises anything.
+        """
         try:
             return call()
-        except Exception as error:  # the user's code may raise anything
-            problem, expected = f"fails: {with_place(error)}", "expected a controller without errors"
-            raise UserCodeError.of(self._reference, problem, expected, Code.CODE) from error
+        except (Exception, SystemExit) as error:  # the user's code may raise anything
+            file, line = line_of(error) or (self._reference, None)
+            problem = f"{described(error)}, {where}"
+            raise UserCodeError([Diagnostic(file, problem, expected, line=line, code=Code.CODE)]) from error
