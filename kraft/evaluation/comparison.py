@@ -40,6 +40,7 @@ class PairedRow:
         time_interval: Student's 95 % interval of that, over pairs, or for all entries over entries; None with fewer
             than three of them, or if they are all the same.
         time_p: two-sided p-value of no difference, of the test that belongs to the interval; None without one.
+        time_groups: number of what this test is over: of those pairs, or for all entries of the entries that have any.
         digests: number of pairs that have digests of both drives.
         identical: number of those whose drives are the same, bit by bit.
         same_scenario: whether the content of the scenario is the same in both evaluations; of all entries, in each.
@@ -58,9 +59,15 @@ class PairedRow:
     time_difference: float | None
     time_interval: tuple[float, float] | None
     time_p: float | None
+    time_groups: int
     digests: int
     identical: int
     same_scenario: bool
+
+    @property
+    def same(self) -> bool:
+        """Whether all drives of the row are the same, bit by bit."""
+        return self.identical == self.pairs
 
 
 @dataclass(frozen=True)
@@ -82,6 +89,11 @@ class Comparison:
     differences: tuple[Difference, ...]
     alone: tuple[tuple[tuple[str, str], ...], tuple[tuple[str, str], ...]]
     missing: tuple[int, int]
+
+    @property
+    def same(self) -> bool:
+        """Whether all drives of all rows are the same, bit by bit."""
+        return all(row.same for row in self.rows)
 
 
 def compare(one: str | Path, other: str | Path) -> Comparison:
@@ -220,6 +232,7 @@ def _row(
         time_difference=sum(differences) / len(differences) if differences else None,
         time_interval=mean_difference_interval(differences, their_groups),
         time_p=mean_difference_p(differences, their_groups),
+        time_groups=len(set(their_groups)),
         digests=len(digests),
         identical=sum(one == other for one, other in digests),
         same_scenario=same_scenario,

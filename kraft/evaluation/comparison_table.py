@@ -24,8 +24,7 @@ COLUMNS: Final = {
     "coll A/B": 8,
     "timeout A/B": 7,
     "failed A/B": 7,
-    "gained": 4,
-    "lost": 4,
+    "only A/B": 4,
     "p": 5,
     "both": 2,
     "dT s": 5,
@@ -35,8 +34,7 @@ COLUMNS: Final = {
 """Headings and their importance, see `kraft.evaluation.table.Table`."""
 MEANINGS: Final = {
     "pairs": "trials with the same seed in A and B",
-    "gained": "pairs in which only B succeeded",
-    "lost": "pairs in which only A succeeded",
+    "only A/B": "pairs in which only A / only B succeeded",
     "p": "exact McNemar test of the successes; in the table of all entries the exact sign-flip test over entries",
     "both": "pairs in which both succeeded",
     "dT s": "mean of the time in B minus that in A over these pairs",
@@ -72,13 +70,16 @@ def comparison_tables(comparison: Comparison) -> list[Table]:
 def _shown(comparison: Comparison) -> list[PairedRow]:
     """Rows of the table."""
     rows = comparison.rows
-    return [row for row in rows if row.identical < row.pairs] if len(rows) > ROWS_MAX else list(rows)
+    return [row for row in rows if not row.same] if len(rows) > ROWS_MAX else list(rows)
 
 
 def folders(comparison: Comparison) -> Iterator[str]:
-    """Lines that say which folder is A and which is B, and what has not run yet in each."""
+    """Lines that say which folder is A and which is B, what has not run yet in each, and whether they are one."""
     for label, folder, missing in zip("AB", comparison.folders, comparison.missing, strict=True):
         yield f"{label}: {folder}" + (f", {counted(missing, 'trial')} not run yet" if missing else "")
+    one, other = comparison.folders
+    if one.resolve() == other.resolve():
+        yield "A and B are the same folder"
 
 
 def remarks(comparison: Comparison) -> Iterator[str]:
@@ -94,24 +95,27 @@ def remarks(comparison: Comparison) -> Iterator[str]:
     changed = list(dict.fromkeys(row.entry for row in comparison.rows if not row.same_scenario))
     if changed:
         names = listed(changed, DIFFERENCES_MAX)
-        yield f"*: the scenario is not the same in A and B, the lines with its name below have the keys: {names}"
+        yield f"*: A and B have different versions of these scenarios, see the next lines: {names}"
     differences = comparison.differences
     yield from map(_difference, differences[:DIFFERENCES_MAX])
     if len(differences) > DIFFERENCES_MAX:
         yield f"and {counted(len(differences) - DIFFERENCES_MAX, 'further difference')}, which --json has"
     if not differences:
-        yield "scenarios, methods, vehicles and versions are the same in A and B"
+        of_both = " that both have" if any(comparison.alone) else ""
+        yield f"scenarios, methods, vehicles and versions{of_both} are the same in A and B"
 
 
 def _too_few(comparison: Comparison) -> Iterator[str]:
     """Lines about tests of so few pairs or entries that no outcome gives a p-value below `SIGNIFICANT`."""
+    limit = f"p is {SIGNIFICANT:g} or more whatever the outcomes"
     least = next(number for number in count(1) if least_sign_flip_p(number) < SIGNIFICANT)
-    few = sum(row.pairs < least for row in comparison.rows)
+    few = sum(row.pairs < least and not row.same for row in comparison.rows)
     if few:
-        yield f"p is not below {SIGNIFICANT:g} for any outcomes of fewer than {least} pairs: {counted(few, 'row')}"
+        have = "has" if few == 1 else "have"
+        yield f"{counted(few, 'row')} {have} fewer than {least} pairs, too few for successes that differ ({limit})"
     entries = Counter(row.method for row in comparison.rows)
-    if any(entries[total.method] < least for total in comparison.totals):
-        yield f"p of all entries is not below {SIGNIFICANT:g} for any outcomes in fewer than {least} entries"
+    if any(entries[total.method] < least and not total.same for total in comparison.totals):
+        yield f"there are fewer than {least} entries, too few for successes that differ over all entries ({limit})"
 
 
 def _table(title: str, rows: Sequence[PairedRow], left_out: set[str]) -> Table:
@@ -130,8 +134,7 @@ def _cells(row: PairedRow) -> dict[str, str]:
         "method": row.title,
         "pairs": str(row.pairs),
         **{heading: f"{one[name]}/{other[name]}" for name, heading in NAMES.items()},
-        "gained": str(row.gained),
-        "lost": str(row.lost),
+        "only A/B": f"{row.lost}/{row.gained}",
         "p": f"{row.p:.2g}",
         "both": str(row.both),
         "dT s": _signed(row.time_difference),

@@ -12,12 +12,30 @@ from kraft.evaluation.comparison_findings import findings
 from kraft.evaluation.statistics import mean_difference_interval, mean_difference_p
 
 
-def row(entry: str, gained: int = 0, p: float = 1.0, time_p: float | None = None, identical: int = 0) -> PairedRow:
+def row(
+    entry: str, gained: int = 0, p: float = 1.0, time_p: float | None = None, identical: int = 0, groups: int = 10
+) -> PairedRow:
     """Row of 20 pairs, of which A succeeds in 10."""
     counts = ({"success": 10}, {"success": 10 + gained})
     difference = None if time_p is None else -0.25
     return PairedRow(
-        entry, entry, "kraft", "KRAFT", 20, counts, gained, 0, p, 10, difference, None, time_p, 20, identical, True
+        entry,
+        entry,
+        "kraft",
+        "KRAFT",
+        20,
+        counts,
+        gained,
+        0,
+        p,
+        10,
+        difference,
+        None,
+        time_p,
+        groups,
+        20,
+        identical,
+        True,
     )
 
 
@@ -26,12 +44,12 @@ def found(*rows: PairedRow, totals: tuple[PairedRow, ...] = ()) -> list[str]:
 
 
 def test_rows_that_differ_are_named_with_their_change_and_the_others_counted() -> None:
-    lines = found(row("turns", gained=8, p=0.008, time_p=0.001), row("slip", time_p=0.4), row("bump"))
+    lines = found(row("turns", gained=8, p=0.008, time_p=0.001), row("slip", time_p=0.4), row("bump", groups=2))
     assert lines[0].startswith("60 pairs in 3 rows; ")
     assert lines[1:] == [
         "successes: differ in turns, KRAFT (10 in A, 18 in B, of 20), no difference is shown in 2 rows",
-        "times of pairs that both succeeded: differ in turns, KRAFT (B 0.25 s earlier), "
-        "no difference is shown in 1 row, cannot be tested in 1 row",
+        "times of pairs that both succeeded: differ in turns, KRAFT (B takes 0.25 s less), "
+        "no difference is shown in 1 row, cannot be tested in 1 row with fewer than 3 such pairs",
     ]
 
 
@@ -46,10 +64,21 @@ def test_what_is_below_the_limit_only_without_adjustment_is_not_named() -> None:
 
 
 def test_all_entries_have_sentences_of_their_own() -> None:
-    lines = found(row("turns"), row("slip"), totals=(row("", gained=9, p=0.01),))
+    lines = found(row("turns"), row("slip"), totals=(row("", gained=9, p=0.01, groups=2),))
     assert lines[3:] == [
         "successes over all entries: differ in KRAFT (10 in A, 19 in B, of 20)",
-        "times over all entries: cannot be tested in 1 row",
+        "times over all entries: cannot be tested in 1 row with fewer than 3 such entries",
+    ]
+
+
+def test_rows_whose_drives_are_the_same_are_the_same_and_not_untested() -> None:
+    lines = found(row("turns", identical=20), row("slip", time_p=0.4), row("bump"), totals=(row("", identical=20),))
+    assert lines[1:] == [
+        "successes: the same in 1 row, bit by bit, no difference is shown in 2 rows",
+        "times of pairs that both succeeded: the same in 1 row, bit by bit, no difference is shown in 1 row, "
+        "cannot be tested in 1 row where all pairs have the same difference",
+        "successes over all entries: the same in 1 row, bit by bit",
+        "times over all entries: the same in 1 row, bit by bit",
     ]
 
 

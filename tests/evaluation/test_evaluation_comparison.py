@@ -62,7 +62,7 @@ def test_of_many_rows_those_are_counted_whose_drives_are_all_the_same(
     assert list(remarks(versions))[1] == "1 row whose drives are all the same has no line above; --json has all"
     same = compare(tmp_path / "a", tmp_path / "a")
     assert [table.title for table in comparison_tables(same)] == ["all entries"]
-    assert list(remarks(same))[1].startswith("2 rows whose drives are all the same have")
+    assert next(remarks(same)).startswith("2 rows whose drives are all the same have")
 
 
 @pytest.mark.parametrize(
@@ -127,8 +127,18 @@ def test_so_few_pairs_or_entries_that_no_outcome_differs_are_said(
     b = run(monkeypatch, tmp_path / "b", lambda spec: driven(spec, everything, {}), 6, scenarios=["turns"])
     c = run(monkeypatch, tmp_path / "c", lambda spec: driven(spec, everything, {}), 5, scenarios=["turns"])
     assert [row.p < 0.05 for other in (b, c) for row in compare(a, other).rows] == [True, False]
-    said = [[line for line in remarks(compare(a, other)) if line.startswith("p ")] for other in (b, c)]
-    assert said == [[], ["p is not below 0.05 for any outcomes of fewer than 6 pairs: 1 row"]]
+    said = [[line for line in remarks(compare(a, other)) if "too few" in line] for other in (b, c)]
+    few = "1 row has fewer than 6 pairs, too few for successes that differ (p is 0.05 or more whatever the outcomes)"
+    assert said == [[], [few]]
+
+
+def test_drives_that_are_all_the_same_are_not_said_to_be_too_few(versions: Comparison, tmp_path: Path) -> None:
+    a = tmp_path / "a"
+    (few,) = [line for line in remarks(versions) if "too few" in line]
+    assert few.startswith("there are fewer than 6 entries, too few for successes that differ over all entries (p is ")
+    assert not [line for line in remarks(compare(a, a)) if "too few" in line]
+    assert list(folders(compare(a, a / ".." / "a")))[2:] == ["A and B are the same folder"]
+    assert len(list(folders(versions))) == 2
 
 
 def test_an_entry_alone_has_no_total(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -152,6 +162,17 @@ def test_only_seeds_rows_and_entries_of_both_are_compared(tmp_path: Path, monkey
     }  # fmt: skip
 
 
+def test_what_only_one_has_is_not_said_to_be_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    a, b = (
+        run(monkeypatch, tmp_path / name, first, scenarios=[*names]) for name, names in (("a", FIRST), ("b", ["slip"]))
+    )
+    said = list(remarks(compare(a, b)))
+    assert said[-2:] == [
+        "only in A: turns, kraft",
+        "scenarios, methods, vehicles and versions that both have are the same in A and B",
+    ]
+
+
 def test_a_scenario_with_another_content_is_marked_and_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     a = run(monkeypatch, tmp_path / "a", first)
     b = run(monkeypatch, tmp_path / "b", first, settings={"sensing.noise_scale": 2}, scenarios=["slip"])
@@ -162,7 +183,7 @@ def test_a_scenario_with_another_content_is_marked_and_said(tmp_path: Path, monk
     }
     assert comparison_tables(found)[0].rows[0][0] == "slip *"
     said = list(remarks(found))
-    assert said[-2] == ("*: the scenario is not the same in A and B, the lines with its name below have the keys: slip")
+    assert said[-2] == ("*: A and B have different versions of these scenarios, see the next lines: slip")
     assert said[-1] == "scenarios.slip.content.sensing.noise_scale: 1.0 in A, 2.0 in B"
 
 
