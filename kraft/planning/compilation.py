@@ -136,13 +136,16 @@ def _compile(parts: Mapping[str, Callable[[], object]], report: MessageSink) -> 
     if not parts:
         return
     # no closer estimate: what else the machine does makes it three times as long
-    report(f"compiling {', '.join(parts)} for this machine, once: up to a minute, or two if the machine is busy ...")
+    once = "for this machine, once: up to a minute, or two if the machine is busy"
+    several = len(parts) > 1
+    what = f"{len(parts)} parts {once}: {'; '.join(parts)}" if several else f"{next(iter(parts))} {once}"
+    report(f"compiling {what} ...")
     began = time.perf_counter()
     for number, (name, compile_part) in enumerate(parts.items(), 1):
-        took, part = time.perf_counter() - began, f"{name} ({number} of {len(parts)})" if len(parts) > 1 else name
+        took, part = time.perf_counter() - began, f"{name} ({number} of {len(parts)})" if several else name
         with interrupts_between_passes(), elapsed_time(report, f"compiling {part}", before=took):
             compile_part()
-        if number < len(parts):
+        if several:
             report(f"  {time.perf_counter() - began:.0f} s: compiled {part}")
     report(f"compiled in {time.perf_counter() - began:.0f} s; kept in {where_kept()}")
 

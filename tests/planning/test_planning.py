@@ -465,10 +465,12 @@ def test_each_part_that_is_compiled_is_told(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("kraft.planning.compilation.optional_module", lambda _, name: compiled.append(name))
     ensure_compiled(vehicle, messages.append, polish=True, modules=("rollouts", "sst"))
     assert compiled == ["polish", "rollouts", "sst"]
-    assert messages[1:3] == [
+    assert messages[0].startswith("compiling 3 parts for this machine, once: ")
+    assert messages[1:4] == [
         "  0 s: compiled the local optimisation for mushr (1 of 3)", "  0 s: compiled the rollouts for mushr (2 of 3)",
+        "  0 s: compiled the planner sst for mushr (3 of 3)",
     ]  # fmt: skip
-    assert messages[3].startswith("compiled in 0 s")
+    assert messages[4].startswith("compiled in 0 s")
 
 
 def test_what_several_vehicles_need_is_one_compilation_and_the_planner_is_named_once(
@@ -480,5 +482,6 @@ def test_what_several_vehicles_need_is_one_compilation_and_the_planner_is_named_
     monkeypatch.setattr("kraft.planning.compilation._exercise", lambda vehicle: compiled.append(vehicle.name))
     ensure_all_compiled([Needs(load_vehicle(name)) for name in ("mushr", "jackal")], messages.append)
     assert compiled == ["mushr", "jackal"]
-    assert messages[0].startswith("compiling the planner and the model of mushr, the model of jackal for this machine")
+    assert messages[0].startswith("compiling 2 parts for this machine, once: ")
+    assert messages[0].endswith(": the planner and the model of mushr; the model of jackal ...")
     assert [message for message in messages if message.startswith("compil")] == [messages[0], messages[-1]]
