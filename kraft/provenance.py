@@ -9,6 +9,7 @@ import shlex
 from collections.abc import Iterable, Iterator
 from dataclasses import fields, is_dataclass
 from importlib.metadata import distribution, version
+from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
@@ -43,6 +44,8 @@ def install_command(extra: str) -> str:
     if "dir_info" in origin and urlsplit(url).scheme == "file":
         folder = url2pathname(urlsplit(url).path)
         option = "-e " if origin["dir_info"].get("editable") else ""
+        constraints = Path(folder) / "constraints.txt"  # of a clone: the versions that kraft was tested with
+        option += f"-c {shlex.quote(str(constraints))} " if constraints.is_file() else ""
         return f"pip install {option}{shlex.quote(f'{folder}[{extra}]')}"
     if "vcs_info" in origin:
         url = f"{origin['vcs_info']['vcs']}+{url}@{origin['vcs_info']['commit_id']}"

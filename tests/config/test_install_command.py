@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from support.paths import ROOT
 
 from kraft import provenance
 
@@ -28,6 +31,23 @@ COMMIT = "0123456789abcdef"
 def test_an_extra_is_installed_from_where_kraft_came(
     origin: dict[str, object] | None, command: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    text = None if origin is None else json.dumps(origin)
-    monkeypatch.setattr(provenance, "distribution", lambda _: SimpleNamespace(read_text=lambda _: text))
+    installed_from(None if origin is None else json.dumps(origin), monkeypatch)
     assert provenance.install_command("mpc") == command
+
+
+def test_an_extra_of_a_clone_is_installed_with_its_constraints(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "constraints.txt").touch()
+    installed_from(json.dumps({"url": tmp_path.as_uri(), "dir_info": {}}), monkeypatch)
+    assert provenance.install_command("mpc") == f"pip install -c {tmp_path}/constraints.txt '{tmp_path}[mpc]'"
+
+
+def test_pages_install_extras_with_the_command_of_the_readme() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), ROOT / "benchmarks" / "README.md"]
+    found = [line for page in pages for line in re.findall(r"^.*pip install.*\[\w.*$", page.read_text(), re.MULTILINE)]
+    assert len(found) > 5
+    assert [line for line in found if "pip install -c constraints.txt " not in line] == []
+
+
+def installed_from(origin: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let kraft have been installed from there: the content of its direct_url.json."""
+    monkeypatch.setattr(provenance, "distribution", lambda _: SimpleNamespace(read_text=lambda _: origin))
