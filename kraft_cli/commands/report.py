@@ -14,7 +14,8 @@ from kraft_cli.terminal import Terminal
 
 Folder = Annotated[Path, typer.Argument(metavar="RESULTS", help="Results folder of kraft eval.")]
 Out = Annotated[
-    Path | None, typer.Option(metavar="FILE", help=defaulting("The page to write.", "report.html in the folder"))
+    Path | None,
+    typer.Option(metavar="FILE", help=defaulting("The page to write: FILE.html.", "report.html in the folder")),
 ]
 Serve = Annotated[
     bool, typer.Option("--serve", help="Show the page to this machine's browser instead, with every replay.")

@@ -339,11 +339,16 @@ def test_wrong_folders_and_files_are_refused(capsys: pytest.CaptureFixture[str])
         (["out", "--out", "out"], "out"),
         (["out", "--out", "file/page.html"], "file/page.html"),
         (["out", "--out", "/proc/x.html"], "/proc/x.html"),
+        (["out", "--out", "page.txt"], "page.txt"),
+        (["out", "--out", "page"], "page"),
         (["none", "--serve"], "none"),
         (["out", "--serve", "--out", "x.html"], "--serve"),
     ):
         assert main(["report", *arguments]) == 2
         assert places(capsys.readouterr().err) == [place]
+    assert not Path("page.txt").exists()
+    assert main(["report", "none", "--out", "page.txt"]) == 2
+    assert sorted(places(capsys.readouterr().err)) == ["none", "page.txt"], "all problems at once"
     assert main(["report", "out", "--out", "pages/mine.html"]) == 0
     assert capsys.readouterr().out == "pages/mine.html\n"
     assert Path("pages/mine.html").read_bytes() == Path("out/report.html").read_bytes()
