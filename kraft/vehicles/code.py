@@ -97,7 +97,8 @@ def _attribute(module: ModuleType, attribute: str, subject: str) -> Vehicle:
         raise import_error(error, subject, _EXPECTED) from error
     if not isinstance(value, Vehicle):
         expected = suggestion(attribute, vehicles, none="expected an ompl_ext.vehicle.Vehicle")
-        problem = f"{attribute} is of type {type(value).__name__}, not a Vehicle"
+        kind = "a class" if isinstance(value, type) else f"of type {type(value).__name__}"
+        problem = f"{attribute} is {kind}, not a Vehicle"
         raise InputError.of(subject, problem, expected, Code.TYPE)
     return value
 

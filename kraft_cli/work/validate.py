@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from kraft.config import bundled
 from kraft.config.document import Document
@@ -15,6 +15,8 @@ from kraft.config.source import Source
 from kraft.config.user_code import is_code
 from kraft.config.yaml_reader import read_document
 from kraft.driving.control import check_code
+from kraft.driving.control.user_controller import user_class
+from kraft.driving.control_settings import UserCode
 from kraft.driving.method import Method, check_vehicle, load_method
 from kraft.errors import Code, Diagnostic, InputError, MissingError, Problems, Unreachable
 from kraft.evaluation.suite import SuiteFile, load_suite
@@ -85,7 +87,7 @@ def check_file(name_or_path: str | Path, report: MessageSink) -> FileReport:
     try:
         if is_code(file):
             kind = "vehicle"
-            check_own_robot(load_vehicle(file))
+            _check_code(file)
             return FileReport(file, kind)
         path = _find(name_or_path)
         file = str(path)
@@ -186,6 +188,27 @@ def _check_vehicle(document: Document, path: Path, report: MessageSink) -> None:
     check_own_robot(vehicle)
     if warning := own_robot(vehicle):
         report(f"warning: {path}: {warning}")
+
+
+def _check_code(reference: str) -> None:
+    """Check a vehicle in code; of a controller's class, which only a method file describes, say where it is checked."""
+    try:
+        vehicle = load_vehicle(reference)
+    except InputError:
+        if not _is_controller(reference):
+            raise
+        problem, expected = "is the class of a controller", "expected the method file that names it, or a vehicle"
+        raise InputError.of(reference, problem, expected, Code.MISMATCH) from None
+    check_own_robot(vehicle)
+
+
+def _is_controller(reference: str) -> bool:
+    """Whether code is a class with the function `command`."""
+    try:
+        user_class(UserCode(kind="code", code=reference))
+    except (InputError, ValidationError):  # the latter: code without the name of a class
+        return False
+    return True
 
 
 def _check_car(document: Document) -> None:

@@ -212,6 +212,18 @@ def test_a_vehicle_in_code_is_checked_as_a_file_is(files: Path, capsys: pytest.C
     ]
 
 
+def test_the_class_of_a_controller_is_checked_in_its_method_file(
+    files: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (files / "own.py").write_text("class Own:\n    def command(self): ...\n\n\nclass Other:\n    pass\n")
+    assert main(["validate", "own.py:Own", "own.py:Other", "own.py"]) == 2
+    assert capsys.readouterr().err.splitlines()[:3] == [
+        "own.py:Own: is the class of a controller; expected the method file that names it, or a vehicle",
+        "own.py:Other: Other is a class, not a Vehicle; expected an ompl_ext.vehicle.Vehicle",
+        "own.py: defines no Vehicle; expected a module-level ompl_ext.vehicle.Vehicle",
+    ]
+
+
 def test_validate_prints_one_json_object(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["validate", "--json", "good.yaml", "bad.yaml"]) == 2
     out, err = capsys.readouterr()
