@@ -86,5 +86,6 @@ vehicles: Final = names("vehicle")
 suites: Final = names("suite")
 robots: Final = names("robot")
 checked: Final = names_or_files("scenario", "method", "vehicle", "robot", "suite")
-worlds: Final = words("corridor", "rooms", "rows", "posts", "maze", "clutter", "track", "mixed")
+WORLDS: Final = ("corridor", "rooms", "rows", "posts", "maze", "clutter", "track", "mixed")
 """Kinds of random worlds: those of `kraft.worlds.generate`, which takes long to import."""
+worlds: Final = words(*WORLDS)

@@ -67,7 +67,7 @@ def world(
     vehicle: SimulatedVehicle = None,
     seed: WorldSeed = 0,
     set_: Set = None,
-    speed: Speed = 1.0,
+    speed: Speed = 1,
     video: Video = None,
     view: View = False,
     json: Json = False,

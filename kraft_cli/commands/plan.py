@@ -58,7 +58,7 @@ def plan(
     out: Out = None,
     plot: Plot = None,
     from_: From = None,
-    after: After = 0.0,
+    after: After = 0,
     json: Json = False,
 ) -> ExitStatus:
     """Plan a scenario and print the result.

@@ -25,7 +25,9 @@ Method = Annotated[
         autocompletion=completion.methods,
     ),
 ]
-Seed = Annotated[int, typer.Option(metavar="N", help="Seed: the same one gives the same trial, but with --realtime.")]
+Seed = Annotated[
+    int, typer.Option(metavar="N", help="Seed: the same one gives the same trial, except with --realtime.")
+]
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write the trial into a new folder.")]
 Video = Annotated[Path | None, typer.Option(metavar="FILE", help="Film the trial: FILE.mp4, or FILE.webp for a page.")]
 View = Annotated[bool, typer.Option("--view", help="Show the trial in a window, in real time.")]

@@ -43,7 +43,12 @@ Parameters = Annotated[list[str] | None, typer.Option("--param", metavar="K=V", 
 AuxiliarySelection = Annotated[
     str,
     typer.Option(
-        metavar="auto|plan|none|A,B", help="Auxiliary parameters: automatic selection (with --out: `plan`), or these."
+        metavar="auto|plan|none|A,B",
+        help=defaulting(
+            "Auxiliary parameters. auto: those that the logs need; plan: of them those that planning models; or these.",
+            "auto; with --out plan",
+        ),
+        show_default=False,
     ),
 ]
 PoseNoise = Annotated[
@@ -78,7 +83,7 @@ def sysid(
     extras: AuxiliarySelection = "auto",
     pose_noise: PoseNoise = None,
     graph: Graph = "fast",
-    horizon: Horizon = 3.0,
+    horizon: Horizon = 3,
     next_: Next = None,
     area: Area = None,
     commands: Commands = None,

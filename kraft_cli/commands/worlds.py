@@ -82,8 +82,8 @@ def generate(
     kind: Annotated[
         str,
         typer.Argument(
-            metavar="KIND",
-            help="corridor, rooms, rows, posts, maze, clutter, track, or mixed for all of them.",
+            metavar="|".join(completion.WORLDS),
+            help="What the worlds are; mixed: all kinds in turn.",
             autocompletion=completion.worlds,
         ),
     ],

@@ -7,7 +7,7 @@ import pytest
 
 from kraft.evaluation.experiment import METHODS, SUITE, TRIALS
 from kraft.sysid.data import HOLDOUT_FRACTION
-from kraft.worlds.generate import DENSITY
+from kraft.worlds.generate import DENSITY, KINDS, MIXED
 from kraft.worlds.generate import USUAL as USUAL_VEHICLES
 from kraft.worlds.imports import CAR, ROBOT
 from kraft_cli.app import _COMMANDS
@@ -25,7 +25,7 @@ USAGE = {
     "record": "[SCENARIO]",
     "sysid": "LOGS...",
     "import": "{barn|dynobench|map} SOURCE...",
-    "generate": "KIND",
+    "generate": "{" + "|".join((*KINDS, MIXED)) + "}",
     "validate": "FILE...",
     "list": "{scenarios|suites|methods|vehicles|planners|robots}",
     "doctor": "",
@@ -53,6 +53,7 @@ def test_defaults_are_in_brackets_and_types_of_python_nowhere(command: str, caps
         r"default|\(\d+\)|instead of the (method|scenario|usual)|else the source", DEFAULT.sub("", text)
     )
     assert not re.search(r"<\w+|Path\]", text)
+    assert not re.search(r"\[default: \d+\.0\]", text), "whole numbers are written as such, as elsewhere"
 
 
 @pytest.mark.parametrize(
@@ -64,6 +65,10 @@ def test_defaults_are_in_brackets_and_types_of_python_nowhere(command: str, caps
         ("record", "SCENARIO", RecordRequest.scenario),
         ("record", "--runs N", f"{RUNS}; with --for {PLANNED_RUNS}"),
         ("record", "--seed N", str(RecordRequest.seed)),
+        ("plan", "--after S", "0"),
+        ("world", "--speed X", "1"),
+        ("sysid", "--horizon S", "3"),
+        ("sysid", "--extras auto|plan|none|A,B", "auto; with --out plan"),
         ("sysid", "--holdout FRACTION", f"{HOLDOUT_FRACTION:g} of four logs or more, else 0"),
         ("generate", "--density SHARE", f"{DENSITY:g}"),
         ("generate", "--vehicle NAME|FILE", "mushr; " + ", ".join(f"for {k} {v}" for k, v in USUAL_VEHICLES.items())),
