@@ -37,6 +37,8 @@ REACH_ALLOWANCE: Final = 0.02
 """Allowance for the range of a component, as a share of the range that simulated motions show."""
 OUTSIDE: Final = -1
 """In place of the number of an obstacle: beyond the bounds."""
+TOUCHING: Final = 1e-3
+"""Depth of an overlap below which the vehicle touches the obstacle, m."""
 EXPECTED_START: Final = "expected a start that is free and inside the bounds"
 UNREACHABLE: Final = "the goal is unreachable: no path from the start is wide enough for the footprint"
 
@@ -100,19 +102,29 @@ def check_placement(task: Task, vehicle: Vehicle, state: Floats, origin: str | N
 def _start_problem(task: Task, vehicle: Vehicle, pose: Pose, hit: int, origin: str | None) -> Diagnostic:
     """What is wrong with a start: in what the vehicle is, how deep, and where near it there is room."""
     shape = vehicle.footprint
-    problem, expected = f"{vehicle.name} at {pose_text(*pose)} {_phrase(task, hit)}", EXPECTED_START
-    if hit == OUTSIDE:
-        problem += f": it reaches {beyond_bounds(task, shape, pose)}"
-    elif (depth := overlap(task, vehicle, pose, hit)) is not None:
-        problem += f", which it overlaps by {depth:.2g} m"
-    if not fits(task, shape):
-        problem += f"; its footprint, {shape.length:g} m x {shape.width:g} m, does not fit into the bounds"
+    if not fits(task, shape):  # then what it collides with at this start says nothing
+        problem = (
+            f"the footprint of {vehicle.name}, {shape.length:g} m x {shape.width:g} m, does not fit into the bounds"
+        )
         expected = "expected a smaller vehicle or wider bounds"
-    elif origin is None and (place := free_place(task, vehicle, pose)) is not None:
-        expected += f", such as ({place[0]:.2f}, {place[1]:.2f}) with this heading"
+    else:
+        problem = f"{vehicle.name} at {pose_text(*pose)} {_phrase(task, hit)}{_how_deep(task, vehicle, pose, hit)}"
+        place = free_place(task, vehicle, pose) if origin is None else None
+        near = "" if place is None else f", such as ({place[0]:.2f}, {place[1]:.2f}) with this heading"
+        expected = EXPECTED_START + near
     if origin is None:
         return task.source.diagnostic("start", problem, expected, code=Code.GEOMETRY)
     return Diagnostic(origin, problem, expected, code=Code.GEOMETRY)
+
+
+def _how_deep(task: Task, vehicle: Vehicle, pose: Pose, hit: int) -> str:
+    """How far the vehicle is in what it hits, as the end of a sentence; empty if that is not known."""
+    if hit == OUTSIDE:
+        return f": it reaches {beyond_bounds(task, vehicle.footprint, pose)}"
+    depth = overlap(task, vehicle, pose, hit)
+    if depth is None:
+        return ""
+    return f", which it overlaps by {depth:.2g} m" if depth >= TOUCHING else ", which it touches"
 
 
 def needs_motions(task: Task) -> bool:

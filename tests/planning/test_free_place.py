@@ -55,6 +55,11 @@ def test_a_start_that_is_suggested_can_be_planned_from(start: str) -> None:
     assert plan_task(room(moved), MUSHR, Budget(iterations=500)).progress.iterations == 500
 
 
+def test_an_obstacle_that_the_start_touches_is_not_said_to_be_overlapped_by_a_millionth() -> None:
+    problem = problem_of(room(f"{{x: {1.5 - HALF + 1e-6:.9f}, y: 2, heading_deg: 0}}")).problem
+    assert problem.endswith("is in collision with 'pillar', which it touches")
+
+
 def test_what_is_beyond_the_bounds_is_said_for_each_side() -> None:
     problem = problem_of(room("{x: 0.1, y: 3.95, heading_deg: 0}"))
     rear, side = MUSHR.footprint.length / 2 - MUSHR.footprint.offset - 0.1, MUSHR.footprint.width / 2 - 0.05
@@ -63,7 +68,7 @@ def test_what_is_beyond_the_bounds_is_said_for_each_side() -> None:
 
 def test_a_vehicle_that_is_larger_than_the_room_is_said_to_be() -> None:
     problem = problem_of(room("{x: 0.5, y: 0.5, heading_deg: 0}"), Footprint(5.0, 4.0))
-    assert "its footprint, 5 m x 4 m, does not fit into the bounds" in problem.problem
+    assert problem.problem == f"the footprint of {MUSHR.name}, 5 m x 4 m, does not fit into the bounds"
     assert problem.expected == "expected a smaller vehicle or wider bounds"
 
 
