@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -205,6 +206,18 @@ def test_commands_name_the_files_that_were_given(tmp_path: Path) -> None:
     arguments = {"scenarios": ["my scene.yaml"], "methods": ["kraft"]}
     evaluate(["my scene.yaml"], ["kraft"], trials=1, out="out", arguments=arguments, command_line=run_command)
     assert "kraft run 'my scene.yaml' --method kraft --seed 0" in text_of(Tags(Path("out/report.html").read_text()))
+
+
+def test_commands_on_the_page_name_the_file_of_a_method_and_run(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("track.yaml").write_text("name: my-track\ntitle: My track\nbase: oneshot-openloop\n")
+    arguments = ["eval", "turns", "--methods", "kraft, track.yaml", "--trials", "2", "--jobs", "1", "--out", "out"]
+    assert main(arguments) == 0
+    written = Path("out/report.html").read_text(encoding="utf-8")
+    assert write_report(Path("out"), command_line=run_command)[1].read_text(encoding="utf-8") == written
+    commands = set(re.findall(r"kraft run [^\"<]*", written))
+    assert {shlex.split(each)[4] for each in commands} == {"kraft", "track.yaml"}
+    shortest = min((each for each in commands if "track.yaml" in each), key=len)
+    assert main(shlex.split(shortest)[1:]) == 1  # it drives, and collides, as this method does without feedback
 
 
 def test_a_scenario_that_changed_has_no_picture_and_the_page_says_so() -> None:

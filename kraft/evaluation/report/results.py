@@ -334,6 +334,7 @@ def _scenario_references(found: Manifest) -> dict[str, str]:
 def _references(found: Manifest, kind: str, names: Sequence[str]) -> dict[str, str]:
     """Recorded argument for each name; the name itself where none was recorded."""
     written = found.arguments.get(kind)
-    if not isinstance(written, list) or len(written) != len(names):
+    # arguments that were not read back from the file are frozen: their lists are tuples
+    if not isinstance(written, list | tuple) or len(written) != len(names):
         return {name: name for name in names}
     return {name: str(reference) for name, reference in zip(names, written, strict=True)}
