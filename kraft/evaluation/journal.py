@@ -27,7 +27,10 @@ from kraft.trial.result import TrialResult
 Key: TypeAlias = tuple[str, str, int]
 """Entry, method and seed; the entry of a plain scenario has the scenario's name."""
 OUTCOMES: Final = ("success", "collision", "timeout", "failed")
-"""Outcomes of a row, in the order of their numbers in `benchmark.log`; the last one is that of a defect."""
+"""Outcomes of a row, in the order of their numbers in `benchmark.log`; the last one is that of a failed trial."""
+OWN_CODE_ERROR: Final = "error in own code"
+DEFECT: Final = "defect in kraft"
+"""Causes of a failed trial, which ended by an error instead of an outcome."""
 
 
 class Measured(Record):
@@ -57,8 +60,8 @@ class TrialRow(Record):
         min_clearance_m: smallest true distance to an obstacle; None without obstacles.
         iterations: planning iterations of all cycles.
         digest: hash over all ticks, equal for equal drives.
-        error: why the trial failed, which means that it ended with a defect instead of an outcome.
-        own_code: whether the defect is one of the user's own code, and not of kraft.
+        error: why the trial failed, which means that it ended with an error instead of an outcome.
+        own_code: whether the error is one of the user's own code, and not a defect in kraft.
         cause: cause of a collision or a timeout; None in rows of older evaluations.
         replay: replay on its way from the worker to the journal, which writes it into its own file.
     """
@@ -91,6 +94,13 @@ class TrialRow(Record):
     def is_defect(self) -> bool:
         """Whether the trial failed because of a defect in kraft."""
         return self.outcome == "failed" and not self.own_code
+
+    @property
+    def why(self) -> tuple[str, str] | None:
+        """Cause of a trial that did not succeed, and its explanation; None where no cause was recorded."""
+        if self.outcome == "failed":
+            return DEFECT if self.is_defect else OWN_CODE_ERROR, self.error or ""
+        return None if self.cause is None else (str(self.cause.kind), self.cause.text)
 
     @property
     def success_time(self) -> float | None:

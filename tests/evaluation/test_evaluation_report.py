@@ -19,7 +19,7 @@ from support.evaluation import StoppingObserver, places, refused, room_for
 from support.html import Tags, text_of
 from support.paths import ROOT
 
-from kraft.errors import Code, InputError
+from kraft.errors import Code, InputError, UserCodeError
 from kraft.evaluation import Evaluation, evaluate
 from kraft.evaluation.report import Results, page, read_results, write_report
 from kraft.evaluation.report.elements import document, element, script_data
@@ -175,6 +175,25 @@ def test_failed_trials_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     text = text_of(Tags(Path("out/report.html").read_text()))
     assert "1 trial failed, which is a defect in kraft" in text
     assert "seed 1: failed: ZeroDivisionError: no speed at all" in text
+
+
+def test_trials_that_the_users_own_code_ended_are_no_defects_and_their_error_is_among_the_causes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def own_code_fails(spec: TrialSpec) -> TrialResult:
+        if spec.seed < 2:
+            raise UserCodeError.of("own.py:7", "has no gain", "expected a number")
+        return fake_trials.quick(spec)
+
+    fake_trials.use(monkeypatch, own_code_fails, inline=True)
+    evaluate(["turns"], ["kraft"], trials=3, seed=0, out="out")
+    written = Path("out/report.html").read_text(encoding="utf-8")
+    text = text_of(Tags(written))
+    assert "2 trials failed, because of an error in the controller's own code" in text
+    assert "2 failed" in text
+    assert "2 trials: own.py:7: has no gain; expected a number" in text
+    assert "2 defects" not in written
+    assert '<a href="#show&amp;method=kraft&amp;cause=error+in+own+code">2</a>' in written
 
 
 def test_trials_that_take_no_time_and_never_deviate_give_a_page(monkeypatch: pytest.MonkeyPatch) -> None:

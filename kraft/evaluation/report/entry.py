@@ -372,12 +372,11 @@ def _trial(results: Results, row: TrialRow, number: int) -> list[Any]:
     """Columns of a trial, in the order in which page.js takes them."""
     entry, method, seed = row.key
     entries, methods = list(results.entries), list(results.methods)
-    cause = row.cause
-    text = outcome_text(row.outcome, row.obstacle) + (f": {row.error}" if row.error else "")
+    text = outcome_text(row.outcome, row.obstacle)
     planning = [round(value, 1) for value in row.measured.planning_ms]
     stored = results.replays is not None and row.key in results.replays
     return [
         number, entries.index(entry), methods.index(method), seed, row.outcome, row.obstacle, text, row.t_s,
-        row.min_clearance_m, row.contingencies, *((None, None) if cause is None else (cause.kind, cause.text)), stored,
+        row.min_clearance_m, row.contingencies, *(row.why or (None, None)), stored,
         planning, results.command(row),
     ]  # fmt: skip

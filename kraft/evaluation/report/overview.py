@@ -9,6 +9,7 @@ from typing import Any, Final
 from urllib.parse import urlencode
 from xml.etree.ElementTree import Element
 
+from kraft.evaluation.journal import DEFECT, OWN_CODE_ERROR
 from kraft.evaluation.report.elements import NO_VALUE, Content, element, hint, outcome_legend, stacked
 from kraft.evaluation.report.results import RecordedCell, Results
 from kraft.evaluation.report.sweeps import settings_text
@@ -16,6 +17,8 @@ from kraft.evaluation.summary import MANY, Result
 from kraft.text import counted
 from kraft.trial.cause import CauseKind
 
+ERRORS_MAX: Final = 5
+"""Number of different errors that the table of causes has."""
 UNRECORDED = "not recorded"
 """Cause of a failure in older evaluations."""
 
@@ -45,8 +48,9 @@ class Count:
     @property
     def others(self) -> str:
         """Outcomes that are not a success, in words."""
-        counts = ((self.collision, "collision"), (self.timeout, "timeout"), (self.failed, "defect"))
-        return ", ".join(counted(count, noun) for count, noun in counts if count)
+        counts = ((self.collision, "collision"), (self.timeout, "timeout"))
+        words = [counted(count, noun) for count, noun in counts if count]
+        return ", ".join([*words, *([f"{self.failed} failed"] if self.failed else [])])
 
     @property
     def share(self) -> float:
@@ -107,13 +111,19 @@ def overview(results: Results) -> Element:
 
 
 def causes(results: Results) -> Element | None:
-    """Table of the causes of collisions and timeouts for each method; None if nothing failed."""
+    """Table of the causes of collisions, timeouts and failed trials for each method; None if all succeeded."""
     by_method: dict[str, Counter[str]] = {method: Counter() for method in results.methods}
     for result in results.summary.results:
         found = by_method[result.method]
         found.update(result.causes)
         if without := result.collision + result.timeout - sum(result.causes.values()):
             found[UNRECORDED] += without
+    errors: dict[str, Counter[str]] = {OWN_CODE_ERROR: Counter(), DEFECT: Counter()}
+    for row in results.rows.values():
+        if row.outcome == "failed" and row.why is not None:
+            cause, error = row.why
+            by_method[row.method][cause] += 1
+            errors[cause][error] += 1
     all_of = sum(by_method.values(), Counter[str]())
     if not all_of:
         return None
@@ -140,16 +150,23 @@ def causes(results: Results) -> Element | None:
     table = element("table", element("thead", heading), element("tbody", *rows), foot, class_="causes",
         aria_label="causes of failures by method",
     )  # fmt: skip
-    meanings = [(name, MEANINGS.get(name)) for name in names]
+    meanings = [(name, MEANINGS.get(name) or _errors_text(errors[name])) for name in names]
     return element(
         "section",
         element("h2", "Why trials failed"),
-        element("p", "Collisions and timeouts by their cause.", hint(" A number lists its trials."), class_="key"),
+        element("p", "Trials that did not succeed, by their cause.", hint(" A number lists its trials."), class_="key"),
         element("div", stacked(table), class_="wide"),
         element("dl", *(element("div", element("dt", name), element("dd", text)) for name, text in meanings if text),
                 class_="meanings"),
         id="causes",
     )  # fmt: skip
+
+
+def _errors_text(errors: Counter[str]) -> str:
+    """The most frequent errors of failed trials, with their numbers, and how many others there are."""
+    shown = [f"{counted(count, 'trial')}: {error}" for error, count in errors.most_common(ERRORS_MAX)]
+    more = len(errors) - len(shown)
+    return "; ".join([*shown, *([f"and {counted(more, 'other error')}, which the list of trials has"] if more else [])])
 
 
 MEANINGS: Final = {str(kind): kind.meaning for kind in CauseKind} | {UNRECORDED: "the trial is of an older kraft"}
