@@ -47,11 +47,19 @@ def guarded(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus
         return ExitStatus.DONE
     except typer.Exit as request:
         return ExitStatus(request.exit_code)
-    except SystemExit as request:  # typer's options that install or show the completion, and its answer to fish
-        return ExitStatus(int(request.code or 0))
+    except SystemExit as request:
+        return _requested(terminal, request)
     except Exception as error:  # every exception has to end in an exit code
         status = explain(terminal, error)
     return status
+
+
+def _requested(terminal: Terminal, request: SystemExit) -> ExitStatus:
+    """Exit code that typer's options for the completion, or its answer to fish, end with; any other is a defect."""
+    code = 0 if request.code is None else request.code
+    if code in list(ExitStatus):
+        return ExitStatus(int(code))
+    return explain(terminal, Defect(f"something has ended the command with {request.code!r}"))
 
 
 def _flushed(terminal: Terminal, command: Callable[[], ExitStatus]) -> ExitStatus:

@@ -49,6 +49,14 @@ def ended_with(error: BaseException, *, traceback: bool = False) -> tuple[ExitSt
     return status, terminal.err.getvalue()
 
 
+@pytest.mark.parametrize(("code", "status"), [(None, 0), (0, 0), (2, 2), (5, 70), ("goodbye", 70), ([2], 70)])
+def test_an_exit_with_a_code_that_kraft_does_not_have_is_a_defect(code: object, status: int) -> None:
+    found, err = ended_with(SystemExit(code))
+    assert found == status
+    assert ("ended the command" in err) == (status == 70)
+    assert "Traceback" not in err
+
+
 @pytest.mark.parametrize(
     ("error", "status"),
     [
