@@ -268,7 +268,7 @@ def learned_text(parameters: Sequence[float], before: Mapping[str, float]) -> st
     most = sorted((name for name in changes if changes[name][0] > 0.1), key=lambda name: -changes[name][0])
     shown = [f"{name} {changes[name][1]:.3g}" for name in most[:LEARNED_SHOWN]]
     if len(most) > len(shown):
-        shown.append(counted(len(most) - len(shown), "other"))
+        shown.append(counted(len(most) - len(shown), "other parameter"))
     return f"  learned {', '.join(shown)}" if shown else ""
 
 

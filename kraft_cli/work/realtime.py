@@ -225,4 +225,5 @@ def realtime_table(run: RealtimeRun) -> list[tuple[str, str]]:
         return rows
     at = next(i for i, (name, _) in enumerate(rows) if name == "result") + 1
     clearance = ("clearance", f"{metres(world.min_clearance, '-')} at least")
-    return [*rows[:at], ("in truth", true), clearance, *rows[at:], ("simulation", pace_text(world))]
+    simulated = ("in truth", f"{true}, in the simulated world; the result is by the robot's estimate")
+    return [*rows[:at], simulated, clearance, *rows[at:], ("simulation", pace_text(world))]

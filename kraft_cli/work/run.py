@@ -24,7 +24,7 @@ from kraft.planning.compilation import ensure_all_compiled
 from kraft.planning.feasibility import check_reachable
 from kraft.planning.stated_speed import faster_than_stated
 from kraft.scenario import Scenario
-from kraft.text import MessageSink, counted, finite, metres, no_messages
+from kraft.text import MessageSink, counted, finite, metres, no_messages, percent
 from kraft.trial.measures import BAND, Measures
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
 from kraft.trial.warnings import warnings_of
@@ -243,9 +243,7 @@ def measures_table(measures: Measures, contingencies: int) -> list[tuple[str, st
     rows: list[tuple[str, str]] = []
     kept, consistency = measures.clearance, measures.consistency
     if kept.coverage is not None and kept.delta_mean is not None:
-        rows.append(
-            ("delta(v)", f"held at {kept.coverage:.1%} of the ticks, {1000 * kept.delta_mean:.0f} mm on average")
-        )
+        rows.append(("delta(v)", f"held at {_share(kept.coverage)} of the ticks, {metres(kept.delta_mean)} on average"))
     quantiles = measures.deviation_quantiles((0.5, 0.99))
     if quantiles:
         until, half, most = quantiles[-1]
@@ -267,11 +265,17 @@ def measures_table(measures: Measures, contingencies: int) -> list[tuple[str, st
         rows.append(
             (
                 "covariance",
-                f"normalised squared error {consistency.mean:.1f} on average (3 if the stated covariance is right); "
-                f"{consistency.share:.0%} of poses in its 95 % band, {low:.2g} to {high:.2g}",
+                f"normalised squared error {consistency.mean:.1f} on average (3 if the stated covariance is right, "
+                f"less if it is cautious, more if errors exceed it); {_share(consistency.share)} of poses in its "
+                f"95 % band, {low:.2g} to {high:.2g}",
             )
         )
     return rows
+
+
+def _share(share: float) -> str:
+    """A share with a space before the sign, as the other percentages of the table."""
+    return percent(share).replace("%", " %")
 
 
 def cycle_line(cycle: Cycle) -> str:

@@ -226,7 +226,7 @@ def test_the_line_of_a_cycle_names_the_two_parameters_that_were_learned_most() -
     before = {"a": 1.0, "b": 2.0, "c": 0.0, "d": 4.0}
     assert work.learned_text([1.05, 2.0, 0.004, 4.1], before) == ""
     assert work.learned_text([1.2, 2.0, 0.004, 4.1], before) == "  learned a 1.2"
-    assert work.learned_text([1.2, 3.0, 0.02, 8.0], before) == "  learned d 8, b 3, 2 others"
+    assert work.learned_text([1.2, 3.0, 0.02, 8.0], before) == "  learned d 8, b 3, 2 other parameters"
 
 
 def test_a_robot_that_is_elsewhere_is_not_moved(tmp_path: Path) -> None:
@@ -325,6 +325,8 @@ def test_a_drive_on_the_wall_clock_is_filmed(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, timeout=120.0, check=False)
     assert done.returncode in (0, 1), done.stderr  # other tests may take the whole computer
     assert "drawing the film of " in done.stderr
+    (true,) = [line for line in done.stdout.splitlines() if line.startswith("in truth")]
+    assert true.endswith(", in the simulated world; the result is by the robot's estimate")
     assert film.stat().st_size > 10_000
 
 

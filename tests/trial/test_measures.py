@@ -10,7 +10,7 @@ import pytest
 from support.fake_trials import cycle
 
 from kraft.driving.messages import ContingencyOrigin, Cycle, PlanLoss, PredictedMotion
-from kraft.trial.measures import BAND, Measures, Step, farthest_point, measure, normalised_squares, pooled
+from kraft.trial.measures import BAND, Kept, Measures, Step, farthest_point, measure, normalised_squares, pooled
 from kraft_cli.work.run import measures_table
 from ompl_ext.arrays import Matrix
 from ompl_ext.vehicle import Footprint
@@ -117,9 +117,15 @@ def test_the_share_in_the_band_is_told_with_the_band() -> None:
     (row,) = measures_table(measure([], [], FOOTPRINT, POSE, errors_squared=[1.0, 3.0, 5.0, 20.0]), 0)
     assert row == (
         "covariance",
-        "normalised squared error 7.2 on average (3 if the stated covariance is right); 75% of poses in its 95 % band, "
-        "0.22 to 9.3",
+        "normalised squared error 7.2 on average (3 if the stated covariance is right, less if it is cautious, more if "
+        "errors exceed it); 75 % of poses in its 95 % band, 0.22 to 9.3",
     )
+
+
+def test_the_clearance_that_was_kept_is_told_in_the_units_of_the_table() -> None:
+    kept = Kept(ticks=1000, held=999, delta_sum_m=168.0)
+    (row,) = measures_table(measure([], [], FOOTPRINT, POSE).model_copy(update={"plans": kept}), 0)
+    assert row == ("delta(v)", "held at 99.9 % of the ticks, 0.168 m on average")
 
 
 def test_each_error_is_normalised_by_its_own_covariance() -> None:
