@@ -50,6 +50,18 @@ class Observer:
         return False
 
 
+class Messages(Observer):
+    """Passes messages on and ignores everything else."""
+
+    def __init__(self, log: MessageSink) -> None:
+        """Pass messages to `log`."""
+        self._log = log
+
+    def log(self, text: str) -> None:
+        """Pass a message on."""
+        self._log(text)
+
+
 @dataclass(frozen=True)
 class Evaluation:
     """Rows of an evaluation in the order of its trials, and their summary; not `complete` if it was stopped."""
@@ -77,6 +89,7 @@ def evaluate(
     realtime: bool = False,
     cluster: str | None = None,
     observer: Observer | None = None,
+    log: MessageSink | None = None,
     arguments: Mapping[str, Any] | None = None,
     command_line: CommandLine | None = None,
 ) -> Evaluation:
@@ -103,6 +116,8 @@ def evaluate(
         realtime: limit planning by wall-clock time instead of iterations; the trials are then not repeatable.
         cluster: address of a Dask scheduler that replaces the worker processes.
         observer: receives the progress and may stop the evaluation.
+        log: receives messages, as ``print`` does: warnings, and what is compiled, which takes up to a minute; an
+            observer receives them itself.
         arguments: the user's arguments, recorded in the manifest.
         command_line: makes the commands on the report page that repeat a trial; without it the page has none.
 
@@ -110,12 +125,16 @@ def evaluate(
         InputError: with every problem of the arguments; if the folder cannot be written, or if the resumed folder
             belongs to another evaluation.  Finished trials stay in the folder.  If the program is read from stdin:
             worker processes cannot import it.
-        TypeError: if scenarios, methods, settings, values to vary, suite or vehicle are of another type.
+        TypeError: if scenarios, methods, settings, values to vary, suite or vehicle are of another type, or both
+            `observer` and `log` are given.
         Unreachable: with every unreachable goal, before the folder is made.
         MissingError: if a part of the installation is missing.
         Defect: if workers do not start.  A defect inside a trial fails that trial only.
     """
-    observer, recorded = observer or Observer(), frozen(dict(arguments or {}))  # before a folder is made
+    if observer is not None and log is not None:
+        raise TypeError("log: expected none beside an observer, which receives the messages")
+    observer = observer or Messages(log or no_messages)
+    recorded = frozen(dict(arguments or {}))  # before a folder is made
     experiment = check_arguments(
         scenarios, methods, trials, seed, jobs, out, suite=suite, settings=settings, vary=vary, vehicle=vehicle,
         resume=resume, realtime=realtime, log=observer.log,

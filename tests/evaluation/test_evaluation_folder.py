@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import random
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +71,19 @@ def test_a_folder_holds_everything(tmp_path: Path) -> None:
     assert content["methods"]["kraft"]["content"]["planner"]["mode"] == "replanning"
     assert content["vehicles"]["mushr"]["content"]["parameters"] == load_vehicle("mushr").parameters
     assert {"kraft", "numba", "ompl", "mujoco", "python"} <= set(content["versions"])
+
+
+def test_messages_go_to_a_log_where_no_observer_receives_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def compiles(_: object, report: Callable[[str], None]) -> None:
+        report("compiling")
+
+    monkeypatch.setattr("kraft.evaluation.evaluator.ensure_all_compiled", compiles)
+    messages: list[str] = []
+    run(tmp_path / "out", log=messages.append)
+    assert messages == ["compiling"]
+    with pytest.raises(TypeError, match="observer"):
+        run(tmp_path / "other", log=messages.append, observer=Observer())
+    assert not (tmp_path / "other").exists()
 
 
 def test_all_methods_and_scenes_have_the_same_seeds(tmp_path: Path) -> None:
