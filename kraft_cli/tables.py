@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 NUMBERS = "0123456789+-"
 """First characters of cells that are numbers, or are in place of one."""
 LISTED = 10
-"""Most unsuccessful trials that are listed."""
+"""Most unsuccessful trials that are listed, of methods that mostly succeed."""
+LISTED_OTHERS = 3
+"""Most of those of other methods, which are listed if there are no such trials."""
 REMARK_MANY = "The tables of the entries, with intervals and measures, are in report.html and summary.json."
 
 
@@ -59,9 +61,9 @@ def show_tables(terminal: Terminal, summary: Summary) -> None:
 
 
 def show_unsuccessful(terminal: Terminal, rows: Sequence[TrialRow], folder: Path | None) -> None:
-    """Print the first `LISTED` collisions and timeouts, of methods that rarely fail first, and how many more there are.
+    """Print collisions and timeouts of methods that mostly succeed, else a few of the others; and how many more.
 
-    Each has its link on the page in the folder of the results.
+    Those of methods that rarely fail are first.  Each has its link on the page in the folder of the results.
     """
     from kraft.evaluation.report.entry import trial_link
     from kraft.text import counted
@@ -71,7 +73,9 @@ def show_unsuccessful(terminal: Terminal, rows: Sequence[TrialRow], folder: Path
     if not found:
         return
     counts, page = Counter(row.method for row in found), (folder or Path()) / "report.html"
+    trials = Counter(row.method for row in rows)
     found.sort(key=lambda row: counts[row.method])
+    shown = [row for row in found if 2 * counts[row.method] < trials[row.method]][:LISTED] or found[:LISTED_OTHERS]
     cells = [
         (
             *map(str, row.key),
@@ -79,18 +83,19 @@ def show_unsuccessful(terminal: Terminal, rows: Sequence[TrialRow], folder: Path
             "-" if row.cause is None else row.cause.kind,
             f"{page}{trial_link(row.key)}",
         )
-        for row in found[:LISTED]
+        for row in shown
     ]
     terminal.data("")
     terminal.data(f"{counted(len(found), 'trial')} did not succeed")
     if terminal.out.isatty():
         console = _console(terminal)
         for entry, method, seed, outcome, cause, replay in cells:  # wrapped: columns would be left out
-            console.print(f"{entry}, {method}, seed {seed}: {outcome} ({cause}), {replay}", overflow="fold")
+            console.print(f"{entry}, {method}, seed {seed}: {outcome} ({cause})", overflow="fold")
+            terminal.data(f"  {replay}")  # in one piece: a line break would end the link
     else:
         terminal.table(("entry", "method", "seed", "outcome", "cause", "replay"), cells)
-    if len(found) > LISTED:
-        terminal.data(f"and {len(found) - LISTED} more, which the page has")
+    if len(found) > len(shown):
+        terminal.data(f"and {len(found) - len(shown)} more, which the page has")
 
 
 def show_comparison(terminal: Terminal, comparison: Comparison) -> None:

@@ -6,6 +6,7 @@ import io
 import json
 import re
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from kraft.config import bundled
 from kraft.evaluation import METHODS, evaluator
 from kraft.evaluation.suite import load_suite
 from kraft.evaluation.table import COLUMNS, MEANINGS, TIME_OF_ALL
+from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft_cli.main import main
 from kraft_cli.progress import Interrupts, Progress
 from kraft_cli.signals import Stopped
@@ -56,23 +58,32 @@ def test_real_trials_are_the_same_with_two_workers_and_in_this_process(
     assert content["results"][0]["cycles"] > 5
 
 
-def test_ten_unsuccessful_trials_are_listed_with_their_replays(
-    inline: None, capsys: pytest.CaptureFixture[str]
+def failing(spec: TrialSpec) -> TrialResult:
+    """A trial of which `kraft` collides in seeds below 12, and other methods in all."""
+    fails = spec.method.name != "kraft" or spec.seed < 12
+    return replace(fake_trials.quick(spec), outcome=Outcome.COLLISION if fails else Outcome.SUCCESS)
+
+
+@pytest.mark.parametrize(("trials", "listed"), [(30, 10), (20, 3)])
+def test_unsuccessful_trials_of_methods_that_mostly_succeed_are_listed_with_their_replays(
+    trials: int, listed: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["eval", "turns", "--methods", "kraft,oneshot-openloop", "--trials", "20", "--out", "o"]) == 0
+    fake_trials.use(monkeypatch, failing, inline=True)
+    assert main(["eval", "turns", "--methods", "oneshot-openloop,kraft", "--trials", str(trials), "--out", "o"]) == 0
     lines = capsys.readouterr().out.splitlines()
     (begin,) = (k for k, line in enumerate(lines) if line.endswith("trials did not succeed"))
     rows = [json.loads(line) for line in Path("o/trials.jsonl").read_text().splitlines()]
     failed = [row for row in rows if row["outcome"] != "success"]
-    assert len(failed) > 10, "otherwise this test shows nothing"
+    assert len(failed) == trials + 12
     assert lines[begin].startswith(f"{len(failed)} trials ")
     assert lines[begin + 1].split() == ["entry", "method", "seed", "outcome", "cause", "replay"]
-    for line in lines[begin + 2 : begin + 12]:
+    for line in lines[begin + 2 : begin + 2 + listed]:
         entry, method, seed = line.split()[:3]
+        assert method == "kraft"
         assert line.endswith(f"/report.html#trial={entry}/{method}/{seed}")
         (row,) = (row for row in failed if (row["method"], row["seed"]) == (method, int(seed)))
         assert f"  {row['outcome']}" in line
-    assert lines[begin + 12] == f"and {len(failed) - 10} more, which the page has"
+    assert lines[begin + 2 + listed] == f"and {len(failed) - listed} more, which the page has"
 
 
 def test_without_arguments_it_runs_six_scenes_and_seven_methods_thirty_times(
@@ -169,7 +180,9 @@ def test_the_table_of_many_entries_fits_a_terminal(inline: None, monkeypatch: py
         out, err = Screen(), Screen()
         assert main([*SWEEP, "--out", f"o{width}"], Terminal(out, err)) == 0
         lines = [re.sub(r"\033\[[\d;?]*[A-Za-z]", "", line) for line in out.getvalue().splitlines()]
-        assert max(len(line) for line in lines if line != REMARK_MANY) <= width
+        links = [line for line in lines if line.startswith(f"  o{width}/report.html#trial=")]
+        assert links, "in one piece, so that a terminal opens them"
+        assert max(len(line) for line in lines if line not in (REMARK_MANY, *links)) <= width
         assert (sum("┬" in line for line in lines) == 1) == (width > 40)  # otherwise several tables
         assert "…" not in out.getvalue()
 
