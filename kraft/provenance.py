@@ -43,10 +43,10 @@ def install_command(extra: str) -> str:
     wanted, url = f"kraft[{extra}]", origin.get("url", "")
     if "dir_info" in origin and urlsplit(url).scheme == "file":
         folder = url2pathname(urlsplit(url).path)
-        option = "-e " if origin["dir_info"].get("editable") else ""
         constraints = Path(folder) / "constraints.txt"  # of a clone: the versions that kraft was tested with
-        option += f"-c {shlex.quote(str(constraints))} " if constraints.is_file() else ""
-        return f"pip install {option}{shlex.quote(f'{folder}[{extra}]')}"
+        options = f"-c {shlex.quote(str(constraints))} " if constraints.is_file() else ""
+        options += "-e " if origin["dir_info"].get("editable") else ""  # last: the folder is its value
+        return f"pip install {options}{shlex.quote(f'{folder}[{extra}]')}"
     if "vcs_info" in origin:
         url = f"{origin['vcs_info']['vcs']}+{url}@{origin['vcs_info']['commit_id']}"
     return f"pip install {shlex.quote(f'{wanted} @ {url}' if url else wanted)}"

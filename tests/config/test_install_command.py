@@ -35,10 +35,14 @@ def test_an_extra_is_installed_from_where_kraft_came(
     assert provenance.install_command("mpc") == command
 
 
-def test_an_extra_of_a_clone_is_installed_with_its_constraints(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+@pytest.mark.parametrize("editable", [False, True])
+def test_an_extra_of_a_clone_is_installed_with_its_constraints(
+    editable: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / "constraints.txt").touch()
-    installed_from(json.dumps({"url": tmp_path.as_uri(), "dir_info": {}}), monkeypatch)
-    assert provenance.install_command("mpc") == f"pip install -c {tmp_path}/constraints.txt '{tmp_path}[mpc]'"
+    installed_from(json.dumps({"url": tmp_path.as_uri(), "dir_info": {"editable": editable}}), monkeypatch)
+    option = "-e " if editable else ""
+    assert provenance.install_command("mpc") == f"pip install -c {tmp_path}/constraints.txt {option}'{tmp_path}[mpc]'"
 
 
 def test_pages_install_extras_with_the_command_of_the_readme() -> None:
