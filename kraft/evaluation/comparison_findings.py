@@ -27,23 +27,23 @@ def findings(comparison: Comparison) -> Iterator[str]:
         return
     yield f"{number}; rows differ where p is below {SIGNIFICANT:g}, adjusted for the number of tests of each line:"
     yield f"successes: {_successes(rows)}"
-    yield f"times of pairs that both succeeded: {_times(rows, 'pairs')}"
+    yield f"times of pairs that both succeeded: {_times(rows, 'such pairs', 'pairs')}"
     if totals:
         yield f"successes over all entries: {_successes(totals)}"
-        yield f"times over all entries: {_times(totals, 'entries')}"
+        yield f"times over all entries: {_times(totals, 'entries that have such pairs', 'entries')}"
 
 
 def _successes(rows: Sequence[PairedRow]) -> str:
     return ", ".join(_judged(rows, lambda row: row.p if row.gained or row.lost else None, _success_change))
 
 
-def _times(rows: Sequence[PairedRow], tested: str) -> str:
-    """Sentence about times, whose tests are over the pairs, or over the entries, of a row."""
+def _times(rows: Sequence[PairedRow], having_times: str, tested: str) -> str:
+    """Sentence about times, whose tests are over the pairs, or over the entries, of a row that have times."""
     untested = [row for row in rows if row.time_p is None and not row.same]
     few = sum(row.time_groups < GROUPS_MIN for row in untested)
     parts = _judged([row for row in rows if row not in untested], lambda row: row.time_p, _time_change)
     if few:
-        parts.append(f"cannot be tested in {counted(few, 'row')} with fewer than {GROUPS_MIN} such {tested}")
+        parts.append(f"cannot be tested in {counted(few, 'row')} with fewer than {GROUPS_MIN} {having_times}")
     if alike := len(untested) - few:
         parts.append(f"cannot be tested in {counted(alike, 'row')} where all {tested} have the same difference")
     return ", ".join(parts)

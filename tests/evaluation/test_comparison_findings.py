@@ -67,7 +67,7 @@ def test_all_entries_have_sentences_of_their_own() -> None:
     lines = found(row("turns"), row("slip"), totals=(row("", gained=9, p=0.01, groups=2),))
     assert lines[3:] == [
         "successes over all entries: differ in KRAFT (10 in A, 19 in B, of 20)",
-        "times over all entries: cannot be tested in 1 row with fewer than 3 such entries",
+        "times over all entries: cannot be tested in 1 row with fewer than 3 entries that have such pairs",
     ]
 
 
