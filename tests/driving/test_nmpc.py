@@ -117,6 +117,14 @@ def test_without_casadi_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
         nmpc(Nmpc(kind="nmpc"))
 
 
+def test_with_an_old_casadi_the_extra_is_named_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    import casadi
+
+    monkeypatch.setattr(casadi, "has_conic", lambda _: False)
+    with pytest.raises(MissingDependency, match=r"PIQP: pip install .*\[mpc\]"):
+        nmpc(Nmpc(kind="nmpc"))
+
+
 def straight(speed: float) -> Reference:
     """Plan that turns left a little in free space, at a constant speed."""
     times = np.linspace(0.0, 2.0, 41)

@@ -273,7 +273,7 @@ def casadi_of() -> Any:
     except ImportError as error:
         raise MissingDependency(f"controller: nmpc needs casadi: {install_command('mpc')}") from error
     if not casadi.has_conic("piqp"):
-        raise MissingDependency("controller: nmpc needs casadi with PIQP: pip install 'casadi>=3.8'")
+        raise MissingDependency(f"controller: nmpc needs casadi with PIQP: {install_command('mpc')}")
     return casadi
 
 
