@@ -208,11 +208,11 @@ def _note_width(name: str, value: str) -> float:
 class LegendEntry:
     """One explanation; a `scale` is drawn as the colours from 0 to its largest value.
 
-    `thickness` is that of a line or the size of dots, pt; `face` the colour within an outline.
+    `thickness` is that of a line or the size of dots or a ring, pt; `face` the colour within an outline.
     """
 
     text: str
-    kind: Literal["line", "dashes", "dots", "outline", "scale"]
+    kind: Literal["line", "dashes", "dots", "ring", "outline", "scale"]
     colour: str = INK
     thickness: float = 1.8
     face: str = "none"
@@ -247,6 +247,11 @@ def _draw_entry(figure: Figure, page: Page, entry: LegendEntry, left: float, mid
             places = left + SAMPLE * np.array([0.15, 0.5, 0.85])
             dots: Style = {"color": entry.colour, "markersize": entry.thickness, "markeredgewidth": 0}
             figure.add_artist(Line2D(places, [height] * 3, linestyle="", marker=".", transform=inches, **dots))
+        elif entry.kind == "ring":
+            ring: Style = {"markeredgecolor": entry.colour, "markerfacecolor": "white", "markeredgewidth": 1.2}
+            place = [left + SAMPLE / 2], [height]
+            size = entry.thickness
+            figure.add_artist(Line2D(*place, linestyle="", marker="o", markersize=size, transform=inches, **ring))
         elif entry.kind != "outline":
             ends = [left, left + SAMPLE], [height, height]
             line_style: Style = {"color": entry.colour, "linewidth": entry.thickness, "transform": inches}

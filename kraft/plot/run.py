@@ -75,17 +75,19 @@ def plot_run(
     title: str | None = None,
     unknown: Sequence[str] = (),
     hidden: Sequence[HiddenFeature] = (),
+    has_plans: bool = True,
 ) -> None:
     """Draw a drive as PNG, SVG or PDF by the suffix of `path`.
 
-    `unknown` lists what the planner did not know, and `hidden` are the features of it that can be drawn.  The same
+    `unknown` lists what the planner did not know, and `hidden` are the features of it that can be drawn.  Without
+    `has_plans` the references are paths of least cost to the goal, which nothing tracks: they are not drawn.  The same
     arguments give the same bytes.  The file is written in one step or not at all.
 
     Raises:
         InputError: if the suffix is none of these or the file cannot be written.
     """
     picture_format(path)  # before the work, not after it
-    drive = DrivenTrajectory.of(replace(result, cycles=as_driven(result.begun)), task.start)
+    drive = DrivenTrajectory.of(replace(result, cycles=as_driven(result.begun)), task.start, has_plans=has_plans)
     notes = key_numbers(result, vehicle, unknown)
     with plot_style():
         write_picture(path, _compose(drive, task, vehicle, title or f"{task.name} · {result.method}", notes, hidden))
@@ -146,7 +148,7 @@ def _draw_map(
     draw_goal(axes, frame, task.goal)
     draw_observations(axes, frame, drive.result)
     draw_footprints(axes, frame, vehicle, drive, run_footprint_interval(drive))
-    draw_references(axes, frame, vehicle, drive.result)
+    draw_references(axes, frame, vehicle, drive)
     axes.add_collection(line, autolim=False)
     start = np.array([task.start.x, task.start.y, task.start.heading])
     draw_start(axes, frame, vehicle, start)
@@ -186,9 +188,13 @@ def _avoided_points(drive: DrivenTrajectory, task: Task) -> Matrix:
 def _legend_entries(
     drive: DrivenTrajectory, line: LineCollection, hidden: Sequence[HiddenFeature]
 ) -> list[LegendEntry]:
-    entries = [LegendEntry("planned in each cycle; planned speed", "line", CYCLE, 1.2)]
+    entries = [LegendEntry("planned in each cycle; planned speed", "line", CYCLE, 1.2)] if drive.has_plans else []
     if any(cycle.kind is ReferenceKind.CONTINGENCY for cycle in drive.result.cycles):
-        entries.append(LegendEntry("contingency", "dashes", WARNING, 1.6))
+        entries += [
+            LegendEntry("contingency", "dashes", WARNING, 1.6),
+            LegendEntry("a cycle with a contingency begins", "ring", WARNING, RING),
+            LegendEntry("time of contingencies", "outline", WARNING_PALE, face=WARNING_PALE),
+        ]
     entries += [
         LegendEntry("estimated speed", "line", ESTIMATED, ESTIMATED_WIDTH),
         LegendEntry("true values", "line", INK, 1.6),
@@ -213,27 +219,32 @@ OBSERVATION_SIZE: Final = 2.4  # pt
 COLLISION: Final = "#c1121f"
 HIDDEN: Final = {"patch": ("#d6eef8", "#7cb9d6"), "bump": ("#fbe7b4", "#c79a1e"), "box": ("#ecd5b5", "#a87a44")}
 """Face and edge colours of hidden features."""
+RING: Final = 4.5  # pt
 NAMES: Final = {"patch": "other friction", "bump": "bump", "box": "can be pushed"}
 
 
 @dataclass(frozen=True)
 class DrivenTrajectory:
-    """True poses and speeds (n,) of a result at the ticks of the controller; at least those at the start."""
+    """True poses and speeds (n,) of a result at the ticks of the controller; at least those at the start.
+
+    `has_plans` is whether the controller tracks the references of cycles without a contingency.
+    """
 
     result: TrialResult
     motion: PoseTrajectory
     speeds: Floats
+    has_plans: bool = True
 
     @classmethod
-    def of(cls, result: TrialResult, start: Start) -> DrivenTrajectory:
+    def of(cls, result: TrialResult, start: Start, *, has_plans: bool = True) -> DrivenTrajectory:
         """Take the ticks of a result, and the start of a trial that ended there and has none."""
         if not result.steps:
             pose = np.array([[start.x, start.y, start.heading]])
-            return cls(result, PoseTrajectory(np.zeros(1), pose), np.array([start.speed]))
+            return cls(result, PoseTrajectory(np.zeros(1), pose), np.array([start.speed]), has_plans)
         times = np.array([step.time for step in result.steps])
         poses = np.array([step.pose for step in result.steps])
         poses[:, 2] = np.unwrap(poses[:, 2])
-        return cls(result, PoseTrajectory(times, poses), np.array([step.speed for step in result.steps]))
+        return cls(result, PoseTrajectory(times, poses), np.array([step.speed for step in result.steps]), has_plans)
 
 
 def panels_of_run(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list[Panel]:
@@ -248,11 +259,10 @@ def panels_of_run(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list
         planned = np.array([_planned(drive.result, step.time, index) for step in steps])
         estimated = np.array([step.estimate[index] for step in steps])
         thin = {**true, "linewidth": 0.9}
-        curves = (
-            Curve(times, estimated, {**thin, "color": ESTIMATED, "linewidth": ESTIMATED_WIDTH}),
-            Curve(times, planned, {**thin, "color": CYCLE}),
-        )
-        speeds = [*curves, *speeds]
+        below = [Curve(times, estimated, {**thin, "color": ESTIMATED, "linewidth": ESTIMATED_WIDTH})]
+        if drive.has_plans:
+            below.append(Curve(times, planned, {**thin, "color": CYCLE}))
+        speeds = [*below, *speeds]
     everything = np.concatenate([curve.values for curve in speeds])
     top = max(vehicle.top_speed, float(np.nanmax(everything)))
     exact = ExactClearance(workspace_of(task, vehicle), vehicle.footprint)
@@ -328,22 +338,27 @@ def draw_observations(axes: Axes, frame: Frame, result: TrialResult) -> None:
         axes.plot(*places.T, ".", color=OBSERVATION, markersize=OBSERVATION_SIZE, markeredgewidth=0, zorder=3.4)
 
 
-def draw_references(axes: Axes, frame: Frame, vehicle: Vehicle, result: TrialResult) -> None:
-    """Draw the part of each committed reference within its cycle, with a ring at each contingency."""
-    for cycle, end in _with_ends(result):
+def draw_references(axes: Axes, frame: Frame, vehicle: Vehicle, drive: DrivenTrajectory) -> None:
+    """Draw the part of each committed reference within its cycle, with a ring at each contingency.
+
+    Contingencies lie on the driven path, which would hide what the vehicle drives as it was planned.
+    """
+    for cycle, end in _with_ends(drive.result):
         reference = cycle.reference
         motion = PoseTrajectory.of(reference.times, reference.states, vehicle)
         begin = max(cycle.time, reference.start)
         planned = cycle.kind is ReferenceKind.PLAN
-        colour = CYCLE if planned else WARNING
+        if planned and not drive.has_plans:
+            continue
+        colour, order = (CYCLE, 5.4) if planned else (WARNING, 6.4)
         if min(end, reference.end) > begin:
             path = frame.points(motion.between(begin, min(end, reference.end))[:, :2])
-            axes.plot(*path.T, color=colour, linewidth=0.9, linestyle="solid" if planned else DASHED, zorder=5.4)
-            axes.plot(*path[0], marker="|", color=colour, markersize=3, zorder=5.4)
+            axes.plot(*path.T, color=colour, linewidth=0.9, linestyle="solid" if planned else DASHED, zorder=order)
+            axes.plot(*path[0], marker="|", color=colour, markersize=3, zorder=order)
         if not planned:
             ring: Style = {"markerfacecolor": "white", "markeredgecolor": WARNING, "markeredgewidth": 1.2}
             axes.plot(
-                *frame.points(motion.at(np.array([begin]))[0, :2]), marker="o", markersize=4.5, zorder=6.6, **ring
+                *frame.points(motion.at(np.array([begin]))[0, :2]), marker="o", markersize=RING, zorder=6.6, **ring
             )
 
 

@@ -148,23 +148,29 @@ def draw_obstacle(axes: Axes, frame: Frame, obstacle: Obstacle, number: int, sca
         axes.add_patch(_shape(frame, obstacle, shape_style))
     center, _ = widest_place(obstacle)
     texts = [obstacle.name, str(number)] if obstacle.name else [str(number)]
-    written = [(text, size) for text in texts for size in (SMALL, TINY)]
-    fitting = next((pair for pair in written if _has_room(frame, obstacle, *pair, scale)), None)
+    written = [(text, size, turn) for text in texts for size in (SMALL, TINY) for turn in (0.0, math.pi / 2)]
+    fitting = next((each for each in written if _has_room(frame, obstacle, *each, scale)), None)
     if fitting is not None:
-        text, size = fitting
+        text, size, turn = fitting
         style: Style = {"fontsize": size, "color": "#4a515c", "ha": "center", "va": "center", "zorder": 3.1}
+        style["rotation"] = math.degrees(turn)
         axes.text(*_pair(frame.points(center)), text, parse_math=False, clip_on=True, **style)
 
 
-def _has_room(frame: Frame, obstacle: Box | Circle | Polygon, text: str, size: float, scale: float) -> bool:
-    """Whether a text of `size` pt is as wide as the obstacle's largest disc at most, or lies inside a box."""
+def _has_room(
+    frame: Frame, obstacle: Box | Circle | Polygon, text: str, size: float, turn: float, scale: float
+) -> bool:
+    """Whether a text of `size` pt is as wide as the obstacle's largest disc at most, or lies inside a box.
+
+    The text is turned by `turn`, rad, on the page; `scale` is inches per m.
+    """
     width, height = text_width(text, size) / 72 / scale, size / 72 / scale  # m
     if width < 0.9 * widest_place(obstacle)[1]:  # digits may touch the edges of a thin wall
         return True
     if not isinstance(obstacle, Box):
         return False
-    turn = frame.heading(obstacle.yaw)
-    c, s = abs(math.cos(turn)), abs(math.sin(turn))
+    angle = frame.heading(obstacle.yaw) - turn
+    c, s = abs(math.cos(angle)), abs(math.sin(angle))
     length, breadth = obstacle.size
     return width * c + height * s < 0.9 * length and width * s + height * c < 0.9 * breadth
 

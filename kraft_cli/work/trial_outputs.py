@@ -134,4 +134,5 @@ class TrialOutputs:
             plot_run(
                 self._options.plot, scenario.task(), self._spec.vehicle, result,
                 title=title, unknown=scenario.truth.in_words(), hidden=hidden_features(scenario, moved),
+                has_plans=self._spec.method.planner.type != "geodesic",
             )  # fmt: skip

@@ -240,3 +240,36 @@ def test_the_label_of_a_collision_leaves_the_label_of_the_obstacle_free(
         label = drawn["collision with\nobstacles[0]"].get_bbox_patch()
         assert label is not None
         assert not label.get_window_extent().overlaps(drawn["0"].get_window_extent())
+
+
+def test_contingencies_are_explained_and_lie_above_the_driven_path(driven: TrialResult) -> None:
+    first = driven.cycles[0]
+    kind = ReferenceKind.CONTINGENCY
+    stopping = dataclasses.replace(first, reference=dataclasses.replace(first.reference, kind=kind))
+    result = dataclasses.replace(driven, cycles=(stopping, *driven.cycles[1:]))
+    with plot_style():
+        drive, notes = DrivenTrajectory.of(result, MOVABLE.start), key_numbers(result, MUSHR)
+        figure = _compose(drive, MOVABLE.task(), MUSHR, "title", notes, ())
+    assert {"contingency", "a cycle with a contingency begins", "time of contingencies"} <= texts(figure)
+    path = next(each for each in figure.axes[0].collections if each.get_array() is not None)
+    assert max(line.get_zorder() for line in figure.axes[0].lines if line.is_dashed()) > path.get_zorder()
+
+
+def test_references_that_nothing_tracks_are_not_drawn_as_plans(driven: TrialResult) -> None:
+    pages = []
+    for has_plans in (True, False):
+        drive = DrivenTrajectory.of(driven, MOVABLE.start, has_plans=has_plans)
+        curves = len(panels_of_run(drive, MOVABLE.task(), MUSHR)[0].curves)
+        with plot_style():
+            figure = _compose(drive, MOVABLE.task(), MUSHR, "title", key_numbers(driven, MUSHR), ())
+        pages.append((curves, "planned in each cycle; planned speed" in texts(figure)))
+    assert pages == [(3, True), (2, False)]
+
+
+def test_the_name_of_a_wall_is_turned_where_it_fits_only_so(driven: TrialResult) -> None:
+    turns = load_scenario("turns")
+    with plot_style():
+        drive = DrivenTrajectory.of(driven, turns.start)
+        figure = _compose(drive, turns.task(), MUSHR, "title", key_numbers(driven, MUSHR), ())
+    turned = {text.get_text() for text in figure.axes[0].texts if text.get_rotation() == 90}
+    assert turned == {"near wall", "far wall"}
