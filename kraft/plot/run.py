@@ -202,7 +202,7 @@ def _legend_entries(
         *([LegendEntry("a cycle begins", "line", RULE, 0.5)] if _shows_cycles(drive.result) else []),
         LegendEntry(f"vehicle every {run_footprint_interval(drive):g} s", "outline", INK),
         *(
-            LegendEntry(f"{NAMES[kind]}, unknown to the planner", "outline", HIDDEN[kind][1], face=HIDDEN[kind][0])
+            LegendEntry(f"{NAMES[kind]}, not known", "outline", HIDDEN[kind][1], face=HIDDEN[kind][0])
             for kind in dict.fromkeys(thing.kind for thing in hidden)
         ),
         LegendEntry("driven, m/s", "scale", scale=line),
@@ -220,7 +220,7 @@ COLLISION: Final = "#c1121f"
 HIDDEN: Final = {"patch": ("#d6eef8", "#7cb9d6"), "bump": ("#fbe7b4", "#c79a1e"), "box": ("#ecd5b5", "#a87a44")}
 """Face and edge colours of hidden features."""
 RING: Final = 4.5  # pt
-NAMES: Final = {"patch": "other friction", "bump": "bump", "box": "can be pushed"}
+NAMES: Final = {"patch": "other friction", "bump": "bump", "box": "box"}
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from kraft.simulation.appearance import hidden_features
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft.trial.trial import run_trial
 from kraft.vehicles.load import load_vehicle
+from kraft.video.legend import scene_rows
 from kraft_cli.main import main
 
 MUSHR = load_vehicle("mushr")
@@ -273,3 +274,10 @@ def test_the_name_of_a_wall_is_turned_where_it_fits_only_so(driven: TrialResult)
         figure = _compose(drive, turns.task(), MUSHR, "title", key_numbers(driven, MUSHR), ())
     turned = {text.get_text() for text in figure.axes[0].texts if text.get_rotation() == 90}
     assert turned == {"near wall", "far wall"}
+
+
+def test_what_is_not_known_has_the_words_of_a_films_legend(driven: TrialResult) -> None:
+    with plot_style():
+        drive, notes = DrivenTrajectory.of(driven, MOVABLE.start), key_numbers(driven, MUSHR)
+        figure = _compose(drive, MOVABLE.task(), MUSHR, "title", notes, hidden_features(MOVABLE))
+    assert {name for name, _ in scene_rows(MOVABLE) if "known" in name} == {"box, not known"} & texts(figure)
