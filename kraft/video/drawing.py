@@ -198,7 +198,7 @@ class Pen:
             geom.emission, geom.castshadow = 1.0, 0
 
     def _bands(self, pieces: Floats, width: float, colours: Matrix) -> None:
-        """A thin box for each piece (n, 2, 3) of the floor's frame; each is a little longer, to close bends."""
+        """A thin box for each piece (n, 2, 3) of the floor's frame; each is longer than that, to close bends."""
         along = pieces[:, 1] - pieces[:, 0]
         length = np.linalg.norm(along, axis=1)
         kept = length > 1e-9
@@ -210,8 +210,9 @@ class Pen:
         pieces[:, :, 2] += STAGGER * np.arange(len(pieces))[:, None]
         middles = self._surface.to_world(pieces.mean(axis=1))
         wide = self._scale * width
+        longer = np.maximum(0.03, bend_gaps(pieces, forward)) * wide
         for k in range(len(pieces)):
-            half = np.array([length[k] / 2 + 0.03 * wide, wide / 2, THICKNESS / 2])
+            half = np.array([length[k] / 2 + longer[k], wide / 2, THICKNESS / 2])
             self._add(BOX, half, middles[k], axes[k], colours[k])
 
     def _add(self, kind: int, half: Floats, place: Floats, axes: Matrix, colour: Floats) -> None:
@@ -226,6 +227,25 @@ class Pen:
             return None
         scene.ngeom += 1
         return scene.geoms[scene.ngeom - 1]
+
+
+SHARPEST: Final = 1.2
+"""Bend up to which a gap is closed, rad: in a sharper one the vehicle reverses, and the pieces lie on each other."""
+
+
+def bend_gaps(pieces: Floats, forward: Matrix) -> Floats:
+    """By how much each piece (n, 2, 3) with its direction (n, 3) has to be longer at both ends, (n,), in widths.
+
+    Where two pieces meet in a bend, their outer corners leave a wedge open, as long as the tangent of half the bend.
+    """
+    found = np.zeros(len(pieces))
+    if len(pieces) > 1:
+        meet = np.linalg.norm(pieces[1:, 0, :2] - pieces[:-1, 1, :2], axis=1) < 1e-9
+        bend = np.arccos(np.clip((forward[1:] * forward[:-1]).sum(axis=1), -1.0, 1.0))
+        gap = np.where(meet & (bend < SHARPEST), np.tan(bend / 2) / 2, 0.0)
+        found[:-1], found[1:] = gap, np.maximum(found[1:], gap)
+        found[1:-1] = np.maximum(gap[:-1], gap[1:])
+    return found
 
 
 def lengths(points: Matrix) -> Floats:

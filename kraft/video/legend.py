@@ -11,12 +11,13 @@ from PIL import ImageDraw
 from kraft.scenario import Scenario
 from kraft.simulation.appearance import COLOURS
 from kraft.simulation.scene import is_wall
-from kraft.video.drawing import CONTINGENCY, ESTIMATE, PLAN, PREDICTED, SECONDARY_TEXT, TEXT, speed_colours
+from kraft.video.drawing import CONTINGENCY, ESTIMATE, PLAN, PREDICTED, TEXT, TREE, speed_colours
 from kraft.video.type import font
 
 SAMPLE: Final = 34
 ROW: Final = 20
 TYPE: Final = 14
+FLOOR: Final = "#c6c4c0"
 Sample: TypeAlias = Callable[[ImageDraw.ImageDraw, int, int], None]
 LegendRow: TypeAlias = tuple[str, Sample]
 """A name, and what draws its sample from the left end of its middle line, px."""
@@ -28,7 +29,7 @@ def plan_rows() -> list[LegendRow]:
         ("plan", lambda d, x, y: d.line((x, y, x + SAMPLE, y), PLAN, 4)),
         ("predicted", lambda d, x, y: d.rectangle((x, y - 5, x + SAMPLE, y + 5), PREDICTED)),
         ("contingency", _dashes),
-        ("search tree", lambda d, x, y: d.line((x, y, x + SAMPLE, y), SECONDARY_TEXT, 1)),
+        ("search tree", _edges),
         ("estimated pose", lambda d, x, y: d.rectangle((x, y - 6, x + SAMPLE, y + 6), outline=ESTIMATE, width=2)),
     ]
 
@@ -83,6 +84,13 @@ def _striped(fill: str, stripe: str, *, across: bool) -> Sample:
             d.rectangle(part, stripe)
 
     return draw
+
+
+def _edges(draw: ImageDraw.ImageDraw, x: int, y: int) -> None:
+    """Edges of a tree on the floor: they are darker than it, as the plate of the legend is."""
+    draw.rectangle((x, y - 6, x + SAMPLE, y + 6), FLOOR)
+    for left, right in ((-4, -2), (-1, 3), (4, 0)):
+        draw.line((x, y + left, x + SAMPLE, y + right), TREE, 1)
 
 
 def _dashes(draw: ImageDraw.ImageDraw, x: int, y: int) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from PIL import Image, ImageColor, ImageDraw
 from support.passages import passage
 
 from kraft.driving.messages import Cycle, PredictedMotion, Reference, ReferenceKind
@@ -20,7 +21,9 @@ from kraft.simulation.world import World
 from kraft.trial.measures import Step
 from kraft.trial.result import TrialSpec
 from kraft.vehicles.load import load_vehicle
-from kraft.video.drawing import EDGES_MAX, LINE, Pen, SnapshotRecorder, draw_cycle, resampled
+from kraft.video.drawing import EDGES_MAX, LINE, TREE, Pen, Snapshot, SnapshotRecorder, draw_cycle, resampled
+from kraft.video.history import draw_history
+from kraft.video.legend import plan_rows
 from kraft.video.renderer import ROOF, SOLID, ChaseCamera, map_aim
 from ompl_ext.plan import TreeView
 
@@ -209,3 +212,31 @@ def test_what_was_hidden_is_shown_where_it_ended() -> None:
         assert other.corners.mean(axis=0) - one.corners.mean(axis=0) == pytest.approx([0.5, 0.0], abs=1e-6)
     assert {thing.kind for thing in hidden_features(load_scenario("slip"))} == {"patch"}
     assert {thing.kind for thing in hidden_features(load_scenario("bump"))} == {"bump"}
+
+
+def test_pieces_of_a_wide_band_meet_at_the_outside_of_a_bend() -> None:
+    world, scene, pen = canvas("turns")
+    bend, width = 0.4, 0.28
+    corner = np.array([0.5, 0.0])
+    path = np.array([(0.45, 0.0), tuple(corner), (0.5 + 0.05 * math.cos(bend), 0.05 * math.sin(bend))])
+    pen.shaded(path, width, 0.0025, np.tile(BLUE, (2, 1)))
+    outside = corner + 0.499 * width * np.array([math.sin(bend / 2), -math.cos(bend / 2)]) / math.cos(bend / 2)
+    for geom in drawn(scene):
+        place = np.array(geom.mat).T @ (world.frame.to_world(np.array([*outside, 0.0025])) - np.array(geom.pos))
+        assert (np.abs(place[:2]) <= np.array(geom.size)[:2] + 1e-6).all()
+
+
+def test_the_legend_shows_the_tree_in_its_colour() -> None:
+    image = Image.new("RGB", (60, 40))
+    dict(plan_rows())["search tree"](ImageDraw.Draw(image), 10, 20)
+    assert ImageColor.getrgb(TREE) in {colour for _, colour in image.getcolors() or ()}
+
+
+def test_the_curve_of_the_speed_has_times_and_the_top_speed_of_the_legend(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = (0.0, 6.0, 12.0)
+    past = [Snapshot(t, np.zeros(3), 0.72, None, 1.0, None, np.zeros((2, 3)), np.zeros(1), None) for t in times]
+    draw, written = ImageDraw.Draw(Image.new("RGB", (300, 80))), []
+    monkeypatch.setattr(draw, "text", lambda place, text, *rest: written.append(text))
+    draw_history(draw, (0, 0, 300, 80), past, 0.706)
+    assert {"0", "0.71", "5 s", "10 s"} <= set(written)
+    assert "0.72" not in written
