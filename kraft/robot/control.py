@@ -16,7 +16,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from kraft.driving.estimation.adaptive import Learned
-from kraft.driving.messages import Commitment, Estimate, Observation, ReferenceKind
+from kraft.driving.messages import Commitment, Estimate, Observation, Reference, ReferenceKind
+from kraft.errors import UserCodeError
 from kraft.robot.arrival import Arrival
 from kraft.robot.decision_requests import DecisionRequests
 from kraft.robot.drive_tables import DriveTables
@@ -37,6 +38,7 @@ from kraft.robot.protocol import (
     Halting,
     Mailbox,
     Planned,
+    PlannerFailed,
     Reconnected,
     Sense,
     Status,
@@ -102,7 +104,7 @@ class Control:
         self._since_stop: float | None = None
         self._told: Commitment | None = None  # what the brake guard knows to be on board
         self._learned: Learned | None = None
-        self._alive, self._is_unwritten = True, False
+        self._alive, self._is_unwritten, self._own_code = True, False, False
 
     def run(self) -> Ended:
         """Drive until the goal, the time limit, an order, or a fault that does not go away."""
@@ -134,7 +136,15 @@ class Control:
         self._event(self._ended_at, f"{outcome}: {reason}" if reason else outcome)
         refused = dict(self._tracker.poses.refused)
         return Ended(
-            outcome, reason, self._ended_at, measures, refused, self._stops, self._sensed(), self._tables.problem
+            outcome,
+            reason,
+            self._ended_at,
+            measures,
+            refused,
+            self._stops,
+            self._sensed(),
+            self._tables.problem,
+            self._own_code,
         )
 
     @property
@@ -185,7 +195,7 @@ class Control:
         self._adopt(now)
         estimate = self._tracker.estimate(now)
         self._check_faults(now, estimate)
-        command, reference = self._tracker.command(now, estimate)
+        command, reference = self._tracked(now, estimate)
         if self._on_board.is_stopping and self._since_stop is None and self._ending is None:
             self._stopped(now, self._why_blind(estimate))
         stands = reference.kind is ReferenceKind.CONTINGENCY and now >= reference.end
@@ -203,6 +213,22 @@ class Control:
         self._request(now)
         self._report(now, estimate)
         return self._is_over(now, estimate)
+
+    def _tracked(self, now: float, estimate: Estimate) -> tuple[Floats, Reference]:
+        """Command (nu,) and the reference that it tracks; the vehicle stops at once if the user's command fails."""
+        try:
+            return self._tracker.command(now, estimate)
+        except UserCodeError as error:
+            self._fail(now, str(error))
+            self._on_board.stop(estimate)  # whether or not the planner's process has ended
+            return self._tracker.command(now, estimate)  # by the law of the other methods, as of every contingency
+
+    def _fail(self, now: float, reason: str) -> None:
+        """Stop the vehicle and end the drive because of an error of the user's code, and tell it."""
+        self._own_code = True
+        if self._ending is None:
+            self._end(now, "stopped", reason)
+            self._event(now, f"the vehicle is stopped at once: {reason}")
 
     def _look_at_link(self, now: float) -> None:
         """Note whether messages reach the robot, and tell if they do again."""
@@ -260,6 +286,8 @@ class Control:
                 self._planned.append(message)
             elif isinstance(message, TaskTaken):
                 self._take_answer(now, message)
+            elif isinstance(message, PlannerFailed):
+                self._fail(now, message.reason)
             elif isinstance(message, StopOrder):
                 self._end(now, "interrupted" if not self._mailbox.closed else "stopped", message.reason)
 

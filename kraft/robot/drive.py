@@ -10,6 +10,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -18,14 +19,16 @@ from typing import Any, Final
 from kraft.driving.control import needs_map
 from kraft.driving.messages import Cycle, ReferenceKind
 from kraft.driving.method import Method, Oracle
-from kraft.errors import Code, Diagnostic, InputError, KraftError
+from kraft.errors import Code, Diagnostic, InputError, UserCodeError
 from kraft.files import LineFile
 from kraft.robot.connect import check_transport
 from kraft.robot.control_process import run_control
 from kraft.robot.drive_tables import add_event
 from kraft.robot.guard import run_guard
 from kraft.robot.maps import run_maps
+from kraft.robot.own_code_watch import OwnCodeWatch
 from kraft.robot.planner import Planner
+from kraft.robot.planner_thread import PlannerThread
 from kraft.robot.priority import preferred_planner, process_context, short_collections, shorten_collections
 from kraft.robot.protocol import (
     Check,
@@ -33,6 +36,7 @@ from kraft.robot.protocol import (
     DecisionRequest,
     DriveSpec,
     Ended,
+    PlannerFailed,
     Sense,
     Status,
     StopOrder,
@@ -49,6 +53,8 @@ JOIN_TIME: Final = 5.0
 """Time to wait for the end of the controller's process, s."""
 GUARD_JOIN_TIME: Final = 12.0
 """Time to wait for the end of the brake guard, which stops the vehicle if the controller has ended before, s."""
+LOOK: Final = 0.5
+"""Longest time between two looks for what does not return, s."""
 ABANDON_TIME: Final = 3.0
 """Longest time after the second signal to write and to say what is known, s."""
 
@@ -238,13 +244,14 @@ def _drive(
     spec: DriveSpec, here: Connection, process: BaseProcess, send: Callable[[Any], None], tell: _Callbacks,
     keep_trees: bool, known: Known,
 ) -> DriveResult:  # fmt: skip
-    planner = Planner(spec, keep_trees)
+    planner, thread = Planner(spec, keep_trees), PlannerThread()
+    watch = OwnCodeWatch(spec, thread, process, tell.on_status)
     checked, decisions = known.checked, known.decisions
     cycles = CycleFile(spec.folder)
-    for message in _messages(here, process):
-        if isinstance(message, KraftError):
-            raise message
-        if isinstance(message, Check):
+    for message in _messages(here, process, thread, watch):
+        if isinstance(message, BaseException):
+            _stop_or_raise(message, send, drives=watch.has_begun)
+        elif isinstance(message, Check):
             tell.on_check(Checked((message,), None))
         elif isinstance(message, Checked):
             checked = known.checked = message
@@ -252,41 +259,91 @@ def _drive(
             if not checked.passed or checked.pose is None:
                 send(StopOrder("the check list failed"))
                 return DriveResult(checked, None)
-            send(planner.begin(checked.pose, checked.map))
+            thread.call(partial(_begin, planner, checked, send))
+        elif isinstance(message, _Begun):
+            watch.begin(message.command_seconds)
             shorten_collections()
-        elif isinstance(message, DecisionRequest):
-            answer, tree = planner.decide(message)
-            send(answer)
-            decisions.add(answer.cycle)
-            if problem := cycles.append(answer.cycle):
-                tell.on_status(Status(answer.cycle.time, math.nan, 0, 0, f"the drive goes on, but {problem}"))
-            planner.prepare()
-            tell.on_sense(message.sense)
-            tell.on_cycle(replace(answer.cycle, tree=tree))
-        elif isinstance(message, TaskChange):
-            send(planner.change(message))
+        elif isinstance(message, DecisionRequest | TaskChange):
+            thread.call(partial(_answer, planner, message, send))
+        elif isinstance(message, _Decided):
+            decisions.add(message.cycle)
+            _tell_decision(message, cycles, tell)
         elif isinstance(message, Status):
             tell.on_status(message)
         elif isinstance(message, Ended):
             if message.sense is not None:
                 tell.on_sense(message.sense)
             unwritten = tuple(dict.fromkeys(each for each in (cycles.problem, message.unwritten) if each))
-            return DriveResult(checked, message, decisions, unwritten)
-    reason = f"the controller's process ended with {process.exitcode}"
+            ended = replace(message, measures={**message.measures, **watch.measures})
+            return DriveResult(checked, ended, decisions, unwritten)
+    reason = watch.killed or f"the controller's process ended with {process.exitcode}"
     unwritten = (cycles.problem,) if cycles.problem else ()
     return DriveResult(checked, Ended("stopped", reason, decisions.last), decisions, unwritten)
 
 
-def _messages(here: Connection, process: BaseProcess) -> Iterator[Any]:
-    """Messages of the controller until its process ends."""
+@dataclass(frozen=True)
+class _Begun:
+    """The controller has the order to begin; a command of the user's own takes `command_seconds`, s."""
+
+    command_seconds: float
+
+
+@dataclass(frozen=True)
+class _Decided:
+    """A cycle that was decided, with its tree, and what had been sensed before."""
+
+    cycle: Cycle
+    sense: Sense
+
+
+def _begin(planner: Planner, checked: Checked, send: Callable[[Any], None]) -> _Begun:
+    assert checked.pose is not None, "it was checked"
+    order = planner.begin(checked.pose, checked.map)
+    seconds = planner.command_seconds(order.commitment)
+    send(order)
+    return _Begun(seconds)
+
+
+def _answer(planner: Planner, message: DecisionRequest | TaskChange, send: Callable[[Any], None]) -> _Decided | None:
+    if isinstance(message, TaskChange):
+        send(planner.change(message))
+        return None
+    answer, tree = planner.decide(message)
+    send(answer)
+    planner.prepare()
+    return _Decided(replace(answer.cycle, tree=tree), message.sense)
+
+
+def _tell_decision(decided: _Decided, cycles: CycleFile, tell: _Callbacks) -> None:
+    cycle = decided.cycle
+    if problem := cycles.append(cycle):
+        tell.on_status(Status(cycle.time, math.nan, 0, 0, f"the drive goes on, but {problem}"))
+    tell.on_sense(decided.sense)
+    tell.on_cycle(cycle)
+
+
+def _stop_or_raise(error: BaseException, send: Callable[[Any], None], *, drives: bool) -> None:
+    """Stop a vehicle that drives because of an error of the user's code; raise any other error."""
+    if not isinstance(error, UserCodeError) or not drives:
+        raise error
+    send(PlannerFailed(str(error)))
+
+
+def _messages(here: Connection, process: BaseProcess, thread: PlannerThread, watch: OwnCodeWatch) -> Iterator[Any]:
+    """Messages of the controller, and results of the planner, until the controller's process ends."""
     while True:
-        ready = wait([here, process.sentinel])
+        ready = wait([here, process.sentinel, thread.ready], LOOK)
+        watch.look()
+        if thread.ready in ready:
+            yield thread.result()
         if here in ready:
             try:
-                yield here.recv()
+                message = here.recv()
             except (EOFError, ConnectionResetError):
                 process.join(JOIN_TIME)
                 return
+            watch.heard(message)
+            yield message
         elif process.sentinel in ready:
             process.join(JOIN_TIME)
             return

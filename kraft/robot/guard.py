@@ -3,9 +3,9 @@
 It knows what the controller knows: every tick the controller tells it the command, the observations, and what is on
 board.  When no such message arrives for longer than two commands should be apart, the guard receives the poses itself
 and goes on from there: the remainder of the plan on board, then its contingency, both verified, with feedback.  It
-brakes at once if the dead man is released, and it stops driving as soon as the controller drives again.  It is in a
-session of its own, so that signals to the group of the other processes, such as Ctrl-Z in a terminal, do not reach it,
-and it outlives them until the vehicle stands.
+brakes at once if the dead man is released, or if a controller of the user's own tracks the plan, and it stops driving
+as soon as the controller drives again.  It is in a session of its own, so that signals to the group of the other
+processes, such as Ctrl-Z in a terminal, do not reach it, and it outlives them until the vehicle stands.
 """
 
 from __future__ import annotations
@@ -156,7 +156,9 @@ class Guard:
         self._since = now if self._since is None else self._since
         tracker.take_poses(now)
         estimate = tracker.estimate(now)
-        if now >= 0.0 and self._inputs.trouble and not tracker.on_board.is_stopping:
+        # the user's own command may be what holds up the controller, and would hold up this process too
+        must_stop = bool(self._inputs.trouble) or tracker.has_own_code
+        if now >= 0.0 and must_stop and not tracker.on_board.is_stopping:
             tracker.on_board.stop(estimate)
         command, reference = tracker.command(now, estimate)
         tracker.publish(now, command)

@@ -8,13 +8,15 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import replace
+from time import perf_counter
 from typing import Any
 
 from kraft.driving.car_model import model_of
 from kraft.driving.control import make_controller
+from kraft.driving.control_settings import UserCode
 from kraft.driving.estimation import make_estimator
 from kraft.driving.estimation.adaptive import AdaptiveEstimator
-from kraft.driving.messages import Estimate
+from kraft.driving.messages import Commitment, Estimate, ReferenceKind
 from kraft.driving.method import Oracle
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
@@ -55,6 +57,18 @@ class Planner:
         self._replanner = self._new_replanner()
         self._warm_up(state)
         return BeginOrder(state, self._replanner.begin(state, self._estimator.uncertainty(0.0)))
+
+    def command_seconds(self, commitment: Commitment) -> float:
+        """Median time that a command of the user's own controller takes (s), 0 of another one."""
+        if not isinstance(self._spec.method.controller, UserCode):
+            return 0.0
+        controller, taken = make_controller(self._spec.method.controller, self._model), []
+        plan = replace(commitment.reference, kind=ReferenceKind.PLAN)
+        for _ in range(3):
+            began = perf_counter()
+            controller.command(Estimate(0.0, self._state.copy(), 0.0), plan)
+            taken.append(perf_counter() - began)
+        return sorted(taken)[1]
 
     def _warm_up(self, state: Floats) -> None:
         """Decide and plan once in vain: the first time takes longer, because compiled functions are loaded."""

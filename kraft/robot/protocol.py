@@ -164,6 +164,13 @@ class StopOrder:
 
 
 @dataclass(frozen=True)
+class PlannerFailed:
+    """Order to stop the vehicle at once and end the drive, because the planner cannot go on."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
 class Status:
     """State of the drive at `time`, for the terminal: age of the newest pose (s), what was late, and what happened.
 
@@ -181,7 +188,8 @@ class Status:
 class Ended:
     """End of the drive: outcome, why, its time (s), measures of the controller's clock, and what was sensed last.
 
-    `unwritten` says why the tables end before the drive; it is empty if they do not.
+    `unwritten` says why the tables end before the drive; it is empty if they do not.  `own_code` is whether the user's
+    own controller has failed, which has ended the drive.
     """
 
     outcome: str
@@ -192,6 +200,7 @@ class Ended:
     stops: int = 0
     sense: Sense | None = None
     unwritten: str = ""
+    own_code: bool = False
 
 
 @dataclass(frozen=True)

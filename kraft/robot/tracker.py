@@ -12,6 +12,7 @@ import numpy as np
 
 from kraft.driving.car_model import model_of
 from kraft.driving.control import make_controller
+from kraft.driving.control_settings import UserCode
 from kraft.driving.estimation import make_estimator
 from kraft.driving.estimation.adaptive import AdaptiveEstimator, Learned
 from kraft.driving.messages import Commitment, Estimate, Observation, Reference, ReferenceKind
@@ -38,7 +39,7 @@ class Tracker:
 
     `on_board`, `poses`, which refuses poses that cannot be true, and `response`, which compares the turns with the
     commands, are for those who drive with it; `arrived` is the number of poses that the last call of `take_poses`
-    found, refused ones included.
+    found, refused ones included.  `has_own_code` is whether plans are tracked by a controller of the user's own.
     """
 
     def __init__(self, spec: DriveSpec, begin: BeginOrder, transport: Transport, inputs: Inputs) -> None:
@@ -48,6 +49,7 @@ class Tracker:
         self._codec = CommandCodec(robot, spec.vehicle)
         self.model = model_of(spec.vehicle)
         self._controller = make_controller(method.controller, self.model)
+        self.has_own_code = isinstance(method.controller, UserCode)
         self._estimator = make_estimator(method.estimator, self.model, begin.state, spec.camera)
         limit = min(robot.watchdog.pose_age, method.planner.watchdog or math.inf)
         self.settings = method.planner.model_copy(update={"watchdog": limit})

@@ -57,7 +57,7 @@ def drive(
         terminal.json(DRIVE_SCHEMA, drive_json(driven))
     else:
         show_rows(terminal, drive_table(driven), good=driven.reached)
-    return driven_status(terminal, driven.outcome, driven.unwritten, driven.result.signal)
+    return driven_status(terminal, driven.outcome, driven)
 
 
 def world(

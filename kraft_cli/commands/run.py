@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +14,7 @@ from kraft_cli.exit_status import ExitStatus
 from kraft_cli.terminal import Terminal
 
 if TYPE_CHECKING:
+    from kraft_cli.work.drive import Driven
     from kraft_cli.work.run import RunRequest
 
 Method = Annotated[
@@ -91,15 +91,15 @@ def _run_in_real_time(terminal: Terminal, request: RunRequest, json: bool) -> Ex
         terminal.json(SCHEMA, realtime_json(run))
     else:
         show_rows(terminal, realtime_table(run), good=success)
-    return driven_status(terminal, run.outcome, run.driven.unwritten, run.driven.result.signal)
+    return driven_status(terminal, run.outcome, run.driven)
 
 
-def driven_status(terminal: Terminal, outcome: str, unwritten: Sequence[str], signal: int) -> ExitStatus:
-    """Exit code of a drive with an outcome, after a report of what could not be written; `signal` interrupted it."""
-    for problem in unwritten:
+def driven_status(terminal: Terminal, outcome: str, driven: Driven) -> ExitStatus:
+    """Exit code of a drive with an outcome, after a report of what could not be written."""
+    for problem in driven.unwritten:
         terminal.problem(problem)
     if outcome == "interrupted":
-        return ExitStatus(128 + signal) if signal else ExitStatus.INTERRUPTED
-    if unwritten:
+        return ExitStatus(128 + driven.result.signal) if driven.result.signal else ExitStatus.INTERRUPTED
+    if driven.unwritten or driven.own_code_failed:
         return ExitStatus.INVALID
     return ExitStatus.DONE if outcome == "success" else ExitStatus.NEGATIVE

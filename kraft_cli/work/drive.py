@@ -73,6 +73,11 @@ class Driven:
         return "refused" if self.result.ended is None else self.result.ended.outcome
 
     @property
+    def own_code_failed(self) -> bool:
+        """Whether the user's own controller has failed and ended the drive."""
+        return self.result.ended is not None and self.result.ended.own_code
+
+    @property
     def reached(self) -> bool:
         """Whether the estimate was in the goal region."""
         return self.outcome == "success"
@@ -328,6 +333,9 @@ def drive_table(driven: Driven) -> list[tuple[str, str]]:
         ("watchdog", counted(ended.stops, "stop")),
         ("controller", f"{late}, {measures.get('worst_late_ms', 0.0):.1f} ms at most"),
     ]
+    if (taken := measures.get("own_command_ms")) is not None:
+        due = 1000.0 * driven.spec.period
+        rows.append(("commands", f"{taken:.1f} ms each, measured before the drive; one is due every {due:.1f} ms"))
     rows += [("refused poses", f"{count}: {why}") for why, count in ended.refused.items()]
     made = (("bag", driven.request.bag), ("written to", driven.request.out))
     return rows + [(name, str(path)) for name, path in made if path is not None and path.exists()]
