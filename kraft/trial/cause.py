@@ -51,7 +51,7 @@ class CauseKind(StrEnum):
     )
     UNSAFE_PLAN = (
         "unsafe plan",
-        "the car was as near to the prediction as claimed, and the plan kept less than that",
+        "the car was as near to the prediction as the bound of its deviation says, and the plan kept less clearance",
     )
     ESTIMATE_WRONG = (
         "estimate wrong",
@@ -113,8 +113,8 @@ def collision_cause(
     if (allowed is not None and deviation <= allowed) or cycle.clearance <= 0.0:
         kind = CauseKind.CONTINGENCY_TOO_LATE if contingency else CauseKind.UNSAFE_PLAN
         near = f"the prediction of cycle {cycle.number} comes within {max(cycle.clearance, 0.0):.3f} m of an obstacle"
-        claimed = f", and {allowed:.3f} m were claimed" if allowed is not None and cycle.clearance > 0.0 else ""
-        return Cause(kind=kind, text=f"{near}; the car was {deviation:.3f} m from it{claimed}")
+        bound = f", which the bound of the deviation, {allowed:.3f} m, allows" if allowed is not None else ""
+        return Cause(kind=kind, text=f"{near}; the car was {deviation:.3f} m from where it was predicted to be{bound}")
     error = _error_of_guidance(cycle, steps, footprint, pose, feedback=feedback)
     text = f"the car was {deviation:.3f} m from the prediction"
     if allowed is not None:

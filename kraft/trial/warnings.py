@@ -10,14 +10,21 @@ from collections.abc import Callable
 from typing import Final
 
 from kraft.driving.method import Adaptive, Method
+from kraft.planning.feasibility import nearest_obstacle
+from kraft.planning.free_place import free_place
+from kraft.planning.workspace import workspace_of
 from kraft.scenario import Scenario, Task
 from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.scenario.unmapped import unstated_outside
 from kraft.trial.planning_vehicle import other_robot
+from ompl_ext.exact import ExactClearance
 from ompl_ext.vehicle import Vehicle
 
 FARTHEST_MEASURED: Final = 7.6
 """Distance from the camera up to which the errors of `single-tag` were measured, m."""
+
+NEAR_START: Final = 0.03
+"""Clearance at the start up to which the error of a filtered pose of a tag may be as large, m."""
 
 
 def far_camera(scenario: Scenario, *, anywhere: bool = False) -> str:
@@ -50,6 +57,21 @@ def far_camera(scenario: Scenario, *, anywhere: bool = False) -> str:
         f"poses of a tag are wrong by about {' and '.join(listed)}: errors grow with the distance, and "
         f"are measured up to {FARTHEST_MEASURED:g} m; place the camera nearer (sensing.camera), or state other sensing "
         "(sensing.preset: planar)"
+    )
+
+
+def near_start(task: Task, vehicle: Vehicle) -> str:
+    """What to say of a start that is free, but nearer to an obstacle than poses are exact; else empty."""
+    pose = task.start.x, task.start.y, task.start.heading
+    away = ExactClearance(workspace_of(task, vehicle), vehicle.footprint).distance(*pose)
+    if away <= 0.0 or away > NEAR_START:
+        return ""
+    place = free_place(task, vehicle, pose)
+    such = "" if place is None else f", such as at ({place[0]:.2f}, {place[1]:.2f}) with this heading"
+    what = nearest_obstacle(task, vehicle, pose)
+    return (
+        f"the start is {100.0 * away:.2g} cm from {what}: estimated poses are wrong by as much, so the vehicle may "
+        f"touch it or need long to get away; start farther away{such}"
     )
 
 
@@ -95,6 +117,7 @@ def uncorrected_slope(scenario: Scenario, method: Method, vehicle: Vehicle) -> s
 WARNINGS: Final[tuple[Callable[[Scenario, Method, Vehicle], str], ...]] = (
     lambda scenario, _method, _vehicle: unstated_outside(scenario),
     lambda scenario, _method, _vehicle: far_camera(scenario),
+    lambda scenario, _method, vehicle: near_start(scenario.task(), vehicle),
     lambda scenario, method, _vehicle: unguided_goal(scenario, method),
     lambda _scenario, method, _vehicle: early_watchdog(method),
     lambda scenario, _method, vehicle: other_robot(scenario, vehicle),

@@ -34,6 +34,7 @@ from kraft.scenario.schema import ScenarioFile
 from kraft.scenario.unmapped import unstated_outside
 from kraft.text import MessageSink, nearest
 from kraft.trial.planning_vehicle import check_own_robot, check_robot, other_robot, own_robot
+from kraft.trial.warnings import near_start
 from kraft.vehicles.config import VehicleConfig
 from kraft.vehicles.load import configured, load_vehicle, read_vehicle_file
 from kraft.vehicles.true_robot import CarDimensions
@@ -173,7 +174,7 @@ def _check_scenario(scenario: Scenario, report: MessageSink) -> None:
     check_placement(task, vehicle, start_state(task, vehicle))
     check_robot(scenario, vehicle)
     check_reachable(task, vehicle)
-    for warning in (unstated_outside(task), other_robot(scenario, vehicle)):
+    for warning in (unstated_outside(task), near_start(task, vehicle), other_robot(scenario, vehicle)):
         if warning:
             report(f"warning: {scenario.source.file}: {warning}")
 

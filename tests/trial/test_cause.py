@@ -85,6 +85,8 @@ def test_a_collision_has_the_cause_that_the_last_cycle_shows(last: Any, drive: A
 def test_delta_is_what_a_deviation_is_compared_with_where_the_method_asks_for_one() -> None:
     wide = replace(cycle(1).predicted, delta=np.full(11, 0.6))
     assert collided([cycle(0), cycle(1, predicted=wide)], steps(1.9, aside=0.5)) == CauseKind.UNSAFE_PLAN
+    text = cause_of([cycle(0), cycle(1, predicted=wide)], steps(1.9, aside=0.5)).text
+    assert "the car was 0.500 m from where it was predicted to be, which the bound of the deviation, " in text
     narrow = replace(wide, delta=np.full(11, 0.02))
     found = cause_of([cycle(0), cycle(1, predicted=narrow)], steps(1.9, aside=0.5))
     assert found.kind == CauseKind.DEVIATION
