@@ -348,7 +348,8 @@ def notes(task: Task, vehicle: Vehicle, result: PlanResult) -> dict[str, str]:
     plan, verification = result.plan, result.verification
     subject = {"vehicle": vehicle.name, "planner": task.planning.planner, "seed": str(result.seed)}
     if plan is None or verification is None:
-        return subject
+        measured = f" ({result.progress.seconds:.3g} s)"
+        return {"why there is no plan": result.reason.replace(measured, ""), **subject}
     found = {"duration": f"{plan.cost:.2f} s", "clearance": metres(verification.min_clearance)}
     if plan.contingency is not None:
         clearance = metres(verification.contingency_clearance)

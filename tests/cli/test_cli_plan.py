@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,10 @@ from support.paths import ROOT
 
 from kraft.planning import compilation as kernel_cache
 from kraft.planning.plan_file import read_plan
+from kraft.text import no_messages
 from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
-from kraft_cli.work.plan import vehicle_text
+from kraft_cli.work.plan import PlanRequest, notes, run_plan, vehicle_text
 from ompl_ext.verification import Requirement, Verification, Violation
 
 SCENE = """name: room
@@ -191,6 +193,16 @@ def test_no_plan_is_an_answer_with_its_reason_and_code_1(room: Path, capsys: pyt
     out, err = capsys.readouterr()
     assert "no plan" in out
     assert err.startswith("error: ")
+
+
+def test_the_page_without_a_plan_says_why_and_not_how_long_that_took(room: Path) -> None:
+    room.write_text(SCENE.replace("size: [1, 1]", "size: [0.5, 4]"))
+    outcome = run_plan(PlanRequest("room.yaml"), no_messages)
+    task, vehicle, result = outcome.task, outcome.vehicle, outcome.result
+    assert result.plan is None
+    assert notes(task, vehicle, result)["why there is no plan"] == result.reason
+    slow = replace(result, reason="no edge after 3 iterations (7 s)", progress=replace(result.progress, seconds=7.0))
+    assert notes(task, vehicle, slow)["why there is no plan"] == "no edge after 3 iterations"
 
 
 def test_the_plan_that_ends_nearest_is_written_and_said_not_to_arrive(capsys: pytest.CaptureFixture[str]) -> None:
