@@ -60,8 +60,8 @@ class CauseKind(StrEnum):
     )
     DEVIATION = (
         "deviation",
-        "the car was farther from the prediction than the clearance δ(v) or the obstacle allowed, or left its plan "
-        "before the plan's end, though it knew where it was",
+        "the car was farther from the prediction than the clearance δ(v) or the obstacle allowed, or was off a "
+        "single plan at the plan's end, though it knew where it was",
     )
     NO_PLAN = "no plan found", "the planner had no plan in most cycles before the timeout"
     PLANS_REFUSED = "plans refused", "the plan was not safe from the latest estimate in most cycles before the timeout"

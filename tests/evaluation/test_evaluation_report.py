@@ -25,6 +25,7 @@ from kraft.evaluation.report import Results, page, read_results, write_report
 from kraft.evaluation.report.elements import document, element, script_data
 from kraft.evaluation.report.entry import floor_plan
 from kraft.scenario import OccupancyMap, load_scenario
+from kraft.trial.cause import CauseKind
 from kraft.trial.measures import Kept, Measures
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
 from kraft_cli.main import main
@@ -225,6 +226,11 @@ def test_commands_name_the_files_that_were_given(tmp_path: Path) -> None:
     arguments = {"scenarios": ["my scene.yaml"], "methods": ["kraft"]}
     evaluate(["my scene.yaml"], ["kraft"], trials=1, out="out", arguments=arguments, command_line=run_command)
     assert "kraft run 'my scene.yaml' --method kraft --seed 0" in text_of(Tags(Path("out/report.html").read_text()))
+
+
+def test_the_page_and_its_documentation_say_the_same_of_a_deviation() -> None:
+    documented = (ROOT / "docs/eval.md").read_text(encoding="utf-8")
+    assert f"| `deviation` | {CauseKind.DEVIATION.meaning} |".replace("the clearance δ(v)", "delta(v)") in documented
 
 
 def test_commands_on_the_page_name_the_file_of_a_method_and_run(capsys: pytest.CaptureFixture[str]) -> None:
