@@ -28,6 +28,7 @@ from kraft.text import MessageSink, counted, finite, metres, no_messages, percen
 from kraft.trial.measures import BAND, Measures
 from kraft.trial.result import TrialResult, TrialSpec, outcome_text
 from kraft.trial.warnings import warnings_of
+from kraft_cli.work.own_code import reported_own_code
 from kraft_cli.work.run_folder import write_run
 from kraft_cli.work.trial_outputs import NO_OUTPUT, OutputOptions, TrialOutputs
 from kraft_cli.work.verbose import StageTimer, vehicle_details
@@ -95,8 +96,16 @@ def run_scenario(
         report(f"warning: {text}")
     timer.report("kernels, maps and simulator loaded")
     spec = TrialSpec(cell.scenario, cell.method, cell.vehicle, request.seed)
-    with TrialOutputs(request.outputs, spec, on_cycle) as outputs:
-        result = run_trial(spec, outputs.on_cycle, outputs.on_step, keep_trees=outputs.keep_trees)
+    with (
+        TrialOutputs(request.outputs, spec, on_cycle) as outputs,
+        reported_own_code(cell.method.controller, report) as cycle_decided,
+    ):
+
+        def told(cycle: Cycle) -> None:
+            cycle_decided()
+            outputs.on_cycle(cycle)
+
+        result = run_trial(spec, told, outputs.on_step, keep_trees=outputs.keep_trees)
         outputs.finish(result, report)
     timer.report(f"{result.time:.2f} s driven" + (", drawn" if request.outputs != NO_OUTPUT else ""))
     run = Run(request, spec, cell.entry.settings, result, warnings)

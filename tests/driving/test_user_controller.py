@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import time
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from kraft.driving.solvers import Solvers
 from kraft.errors import Code, UserCodeError
 from kraft.evaluation import evaluator
 from kraft_cli.main import main
+from kraft_cli.work.own_code import reported_own_code
 from ompl_ext.arrays import Floats
 
 CONTROLLERS = """
@@ -289,3 +291,18 @@ def test_a_trial_that_it_fails_in_is_recorded_and_a_change_of_the_code_is_notice
     file.write_text(CONTROLLERS + "\n# changed\n")
     assert main([*arguments, "--resume"]) == 2
     assert "methods.own.content.controller.code_sha256" in capsys.readouterr().err
+
+
+def test_where_a_command_is_that_does_not_return_is_said(file: Path) -> None:
+    file.write_text(CONTROLLERS + "\nclass Waits(Plain):\n    def command(self, e, r):\n        self.wait()\n")
+    said: list[str] = []
+    named = settings(file, "Waits")
+    controller = made(file, "Waits")
+    own(controller).wait = lambda: time.sleep(0.5)
+    with reported_own_code(named, said.append, interval=0.1) as cycle_decided:
+        cycle_decided()
+        with pytest.raises(UserCodeError):  # it returns nothing
+            controller.command(estimate(), PLAN)
+    line = len(file.read_text().splitlines())
+    assert said
+    assert said[0].endswith(f"a command of the controller is at {file}:{line}")
