@@ -204,14 +204,10 @@ def _drive_in_processes(
         target=run_control, args=(spec, there, to_guard, to_maps, others(there, to_guard, to_maps)),
         name="kraft controller",
     )  # fmt: skip
-    started = [(process, JOIN_TIME), (guard, GUARD_JOIN_TIME)]
+    processes = [(process, JOIN_TIME), (guard, GUARD_JOIN_TIME)]
     if from_maps is not None:
         maps = context.Process(target=run_maps, args=(spec, from_maps, others(from_maps)), name="kraft map")
-        started.append((maps, JOIN_TIME))
-    for each, _ in started:
-        each.start()
-    for end in others(here):
-        end.close()
+        processes.append((maps, JOIN_TIME))
     lock = threading.Lock()
 
     def send(message: Any) -> None:
@@ -228,11 +224,20 @@ def _drive_in_processes(
             ended = Ended("interrupted", reason, known.decisions.last)
             on_abandon(DriveResult(known.checked, ended, known.decisions, unwritten, signal=number))
 
+    started = list[tuple[BaseProcess, float]]()
+    unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)  # a signal waits until it stops all processes
     try:
+        for child, patience in processes:
+            child.start()
+            started.append((child, patience))
+        for end in others(here):
+            end.close()
         with preferred_planner(), _interrupts(lambda: send(StopOrder("by a signal")), abandon) as received:
+            signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
             result = _drive(spec, here, process, send, tell, keep_trees, known)
             return replace(result, signal=received[0] if received else 0)
     finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
         here.close()
         for each, patience in started:
             each.join(patience)

@@ -129,6 +129,34 @@ def test_an_interrupt_of_the_check_list_ends_it_at_once(tmp_path: Path) -> None:
     assert (driven["outcome"], driven["reason"], driven["cycles"]) == ("interrupted", "by a signal", 0)
 
 
+EARLY = """
+import os, signal, sys
+from kraft.robot import drive
+from kraft_cli.main import main
+
+started = drive.process_context().Process.start
+
+def start(process):
+    started(process)
+    if process.name == "kraft controller":
+        os.kill(os.getpid(), signal.SIGINT)
+
+drive.process_context().Process.start = start
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_an_interrupt_while_the_processes_start_ends_all_of_them(tmp_path: Path) -> None:
+    described = ROBOT.format(transport=f"{{kind: loopback, socket: {tmp_path / 'socket'}}}", more="", give_up=2.0)
+    (tmp_path / "robot.yaml").write_text(described, encoding="utf-8")
+    server = open_transport(load_robot(tmp_path / "robot.yaml"), "robot")
+    command = [sys.executable, "-c", EARLY, "drive", "boxes", "--robot", str(tmp_path / "robot.yaml"), "--json"]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False, timeout=60.0)  # of all of them
+    server.close()
+    assert done.returncode == 130
+    assert json.loads(done.stdout)["reason"] == "by a signal"
+
+
 def test_a_drive_whose_terminal_is_gone_stops_and_writes_its_result(tmp_path: Path) -> None:
     """Its end sends SIGHUP, and all that is written into it from then on fails."""
     ours, theirs = os.openpty()
