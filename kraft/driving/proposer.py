@@ -112,10 +112,6 @@ class Proposer:
             return replace(proposal, plan=None, reason=reason, seconds=seconds, missed=True)
         return replace(proposal, seconds=seconds, missed=missed)
 
-    def slower(self, number: int, plan: Plan, root: Floats) -> Iterator[Plan]:
-        """See `PlanSearch.slower`."""
-        return self.search.slower(number, plan, root)
-
     def _propose_in_turn(self, query: PlanQuery) -> Proposal:
         """Plan with a fixed clearance: of the first solver that finds one, or of the one that retains the remainder."""
         self.search.budget.begin(query.began)

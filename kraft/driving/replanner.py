@@ -348,7 +348,8 @@ class Replanner:
             return self._choose_contingency(root, cycle_start, current, reason)
         decision = self._checked(plan, root, cycle_start)
         if isinstance(decision, Refused) and decision.may_be_slowed:
-            slower = (self._checked(each, root, cycle_start) for each in self.proposer.slower(self._number, plan, root))
+            plans = self.proposer.search.slower(self._number, plan, root)
+            slower = (self._checked(each, root, cycle_start) for each in plans)
             decision = next((each for each in slower if isinstance(each, Decision)), decision)
         if isinstance(decision, Decision):
             return decision

@@ -268,8 +268,11 @@ def _drive(
         elif isinstance(message, _Begun):
             watch.begin(message.command_seconds)
             shorten_collections()
-        elif isinstance(message, DecisionRequest | TaskChange):
-            thread.call(partial(_answer, planner, message, send))
+        elif isinstance(message, DecisionRequest):
+            thread.call(partial(_decide, planner, message, send))
+            thread.call(planner.prepare)  # apart, so that the decision is written before
+        elif isinstance(message, TaskChange):
+            thread.call(partial(_change, planner, message, send))
         elif isinstance(message, _Decided):
             decisions.add(message.cycle)
             _tell_decision(message, cycles, tell)
@@ -309,14 +312,14 @@ def _begin(planner: Planner, checked: Checked, send: Callable[[Any], None]) -> _
     return _Begun(seconds)
 
 
-def _answer(planner: Planner, message: DecisionRequest | TaskChange, send: Callable[[Any], None]) -> _Decided | None:
-    if isinstance(message, TaskChange):
-        send(planner.change(message))
-        return None
-    answer, tree = planner.decide(message)
+def _decide(planner: Planner, request: DecisionRequest, send: Callable[[Any], None]) -> _Decided:
+    answer, tree = planner.decide(request)
     send(answer)
-    planner.prepare()
-    return _Decided(replace(answer.cycle, tree=tree), message.sense)
+    return _Decided(replace(answer.cycle, tree=tree), request.sense)
+
+
+def _change(planner: Planner, change: TaskChange, send: Callable[[Any], None]) -> None:
+    send(planner.change(change))
 
 
 def _tell_decision(decided: _Decided, cycles: CycleFile, tell: _Callbacks) -> None:

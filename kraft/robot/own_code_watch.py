@@ -61,10 +61,10 @@ class OwnCodeWatch:
         """Tell once what does not return."""
         if self._own is None:
             return
-        busy, place = self._thread.busy, self._thread.place(self._own)
+        busy = self._thread.busy
         if busy < HANGS:
             self._is_told = False
-        elif place and not self._is_told:
+        elif not self._is_told and (place := self._thread.place(self._own)):
             self._is_told = True
             then = "; without decisions the vehicle stops with its contingency" if self.has_begun else ""
             self._note(

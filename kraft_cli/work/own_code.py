@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from kraft.driving.control_settings import ControllerSettings
+from kraft.driving.control_settings import ControllerSettings, UserCode
 from kraft.robot.planner_thread import place_in_code
 from kraft.text import MessageSink
 
@@ -21,6 +21,9 @@ def reported_own_code(
     settings: ControllerSettings, report: MessageSink, interval: float = INTERVAL
 ) -> Iterator[Callable[[], None]]:
     """Context that reports where the user's code is while no cycle is decided; yields what each cycle calls."""
+    if not isinstance(settings, UserCode):
+        yield lambda: None
+        return
     caller, ended, last = threading.get_ident(), threading.Event(), time.monotonic()
 
     def look() -> None:
