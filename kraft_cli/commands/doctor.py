@@ -27,7 +27,6 @@ def doctor(
         int | None,
         typer.Option(
             metavar="DAYS",
-            min=1,
             help="First remove compiled kernels of other versions of kraft or other processors that are unused for "
             "DAYS days.",
         ),
@@ -39,16 +38,13 @@ def doctor(
     Python, packages, processor, kernel cache and rendering.
     """
     from kraft_cli.work import doctor as work
-    from kraft_cli.work.doctor import examine
 
     terminal: Terminal = context.obj
     if remove_kernels is not None:
         terminal.info(work.remove_kernels(remove_kernels))
-    findings = examine()
+    findings = work.examine()
     if robot is not None:
-        from kraft_cli.work.doctor import examine_robot
-
-        findings += examine_robot(robot)
+        findings += work.examine_robot(robot)
     missing = [finding.subject for finding in findings if finding.state == "missing"]
     if json:
         terminal.json("kraft.doctor/1", {"ok": not missing, "findings": [asdict(f) for f in findings]})

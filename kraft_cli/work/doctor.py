@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 import kraft.matplotlib_folder  # noqa: F401  (before matplotlib)
 from kraft import __version__
 from kraft.config import bundled
-from kraft.errors import InputError, MissingAsset, MissingDependency
+from kraft.errors import InputError, MissingAsset, MissingDependency, out_of_range
 from kraft.files import check_writable
 from kraft.gl import BACKENDS
 from kraft.provenance import install_command
@@ -90,10 +90,13 @@ def remove_kernels(days: int) -> str:
     """Remove kernels of other versions or processors that are unused for so many days; what is gone, in words.
 
     Raises:
+        InputError: `days` is less than one.
         MissingAsset: the kernel cache cannot be used.
     """
     from ompl_ext.old_kernels import old_kernels, remove
 
+    if problems := out_of_range("remove_kernels", days, 1):
+        raise InputError(problems)
     try:
         unused = [old for old in old_kernels() if old.is_unused(days)]
     except CacheError as error:

@@ -428,6 +428,7 @@ def test_the_doctor_names_old_kernels_and_removes_them(
     assert "removed 1 folder (0 MB) unused for 30 days" in capsys.readouterr().err
     assert not old.exists()
     assert main(["doctor", "--remove-kernels", "0"]) == 2
+    assert "--remove-kernels: is 0; expected a number of at least 1" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("backend", ["foo", "glfw"])
