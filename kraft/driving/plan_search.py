@@ -61,7 +61,17 @@ class GrownPlan:
 
 
 class PlanSearch:
-    """Searches with the solvers of a method, and what the next cycle retains of the plan that is chosen."""
+    """Searches with the solvers of a method, and what the next cycle retains of the plan that is chosen.
+
+    Args:
+        solvers: solvers of the task.
+        settings: planner settings of the method.
+        seed: seed of all plans.
+        realtime: limit planning by wall-clock time instead of iterations.
+        keep_trees: keep a copy of the tree in each proposal.
+        command_timeout: time after the last command when the robot stops itself (s), for which plans leave room; None
+            for a robot that loses no commands.
+    """
 
     def __init__(
         self,
@@ -73,7 +83,8 @@ class PlanSearch:
         keep_trees: bool = False,
         command_timeout: float | None = None,
     ) -> None:
-        self._seed, self._realtime, self._keep_trees = seed, realtime, keep_trees
+        self.realtime = realtime
+        self._seed, self._keep_trees = seed, keep_trees
         self._command_timeout = command_timeout
         self.grown: GrownPlan | None = None
         """the plan whose remainder, with its tree, the next cycle retains"""
@@ -83,7 +94,7 @@ class PlanSearch:
     def set_settings(self, settings: PlannerSettings) -> None:
         """Use settings with another budget from the next search on."""
         self.settings = settings
-        self.budget = SearchBudget(settings, self._realtime)
+        self.budget = SearchBudget(settings, self.realtime)
 
     def set_solvers(self, solvers: Solvers) -> None:
         """Use other solvers from the next search on."""

@@ -34,29 +34,11 @@ class Proposer:
     """Proposes the plan of the next cycle, by the searches of a method.
 
     Args:
-        solvers: solvers of the task.
-        settings: planner settings of the method.
-        seed: seed of all plans.
-        realtime: limit planning by wall-clock time instead of iterations.
-        keep_trees: keep a copy of the tree in each proposal.
-        command_timeout: time after the last command when the robot stops itself (s), for which plans leave room; None
-            for a robot that loses no commands.
+        search: one search with the solvers and the planner settings of the method.
     """
 
-    def __init__(
-        self,
-        solvers: Solvers,
-        settings: PlannerSettings,
-        seed: int,
-        *,
-        realtime: bool = False,
-        keep_trees: bool = False,
-        command_timeout: float | None = None,
-    ) -> None:
-        self._realtime = realtime
-        self.search = PlanSearch(
-            solvers, settings, seed, realtime=realtime, keep_trees=keep_trees, command_timeout=command_timeout
-        )
+    def __init__(self, search: PlanSearch) -> None:
+        self.search = search
         self.level_search = LevelSearch(self.search)
         self.levels = self.level_search.levels
         self.recovers = False
@@ -107,7 +89,7 @@ class Proposer:
             proposal = self._propose_in_turn(query) if settings.bound is None else self._propose_at_levels(query)
         seconds = clock.perf_counter() - began
         missed = number > 0 and seconds > settings.cycle - settings.lead  # the first plan is made before the drive
-        if self._realtime and missed:
+        if self.search.realtime and missed:
             reason = f"planning took {seconds:.3f} s, longer than the cycle allows"
             return replace(proposal, plan=None, reason=reason, seconds=seconds, missed=True)
         return replace(proposal, seconds=seconds, missed=missed)

@@ -32,6 +32,7 @@ from kraft.driving.messages import (  # fmt: skip
     Uncertainty,
 )
 from kraft.driving.method import PlannerSettings
+from kraft.driving.plan_search import PlanSearch
 from kraft.driving.prediction import ClosedLoopPredictor, least_slack, required_clearance
 from kraft.driving.proposal import Proposal
 from kraft.driving.proposer import RECOVERY_MARGIN, Proposer
@@ -117,11 +118,11 @@ class Replanner:
         command_timeout: float | None = None,
     ) -> None:
         self._settings, self._solvers, self.dirt = settings, solvers, solvers.checking
-        self._propose_with = partial(
-            Proposer, settings=settings, seed=seed, realtime=realtime, keep_trees=keep_trees,
+        self._search_with = partial(
+            PlanSearch, settings=settings, seed=seed, realtime=realtime, keep_trees=keep_trees,
             command_timeout=command_timeout,
         )  # fmt: skip
-        self.proposer = self._propose_with(solvers)
+        self.proposer = Proposer(self._search_with(solvers))
         """what searches for the plans"""
         self._blockage = None if settings.blocked is None else Blockage(settings.blocked, self.dirt.vehicle)
         self._blocked: tuple[Polygon, ...] = ()
@@ -284,7 +285,7 @@ class Replanner:
     def _make_maps(self) -> None:
         """Make the solvers for what blocks the vehicle."""
         solvers = self._solvers.with_obstacles(self._blocked, self._settings)
-        self.proposer = self._propose_with(solvers)
+        self.proposer = Proposer(self._search_with(solvers))
         self._use(solvers)
 
     def _calibrate(self, estimate: Estimate, current: Commitment) -> None:

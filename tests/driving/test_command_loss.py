@@ -14,6 +14,7 @@ from kraft.driving.car_model import model_of
 from kraft.driving.command_loss import SHARES, CommandLoss
 from kraft.driving.messages import Estimate, PredictedMotion, ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings
+from kraft.driving.plan_search import PlanSearch
 from kraft.driving.proposer import Proposer
 from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import braking_control
@@ -132,7 +133,7 @@ class _Refusing(CommandLoss):
 
 
 def test_another_plan_of_the_tree_is_proposed_if_the_best_one_leaves_no_room() -> None:
-    proposer = Proposer(SOLVERS, PLANNER, 0, command_timeout=0.2)
+    proposer = Proposer(PlanSearch(SOLVERS, PLANNER, 0, command_timeout=0.2))
     refusing = _Refusing(DIRT, 0.2, [])
     proposer.search.loss = refusing
     proposal = proposer.propose(0, start(), None)
@@ -148,7 +149,7 @@ def slower(solvers: Solvers, plan: Plan) -> list[Plan]:
 
 
 def test_a_slower_plan_has_less_drive_for_a_cycle_and_leads_the_same_way() -> None:
-    plan = Proposer(SOLVERS, PLANNER, 0).propose(0, start(), None).plan
+    plan = Proposer(PlanSearch(SOLVERS, PLANNER, 0)).propose(0, start(), None).plan
     assert plan is not None
     found = slower(SOLVERS, plan)
     assert len(found) > 4
@@ -183,7 +184,7 @@ def test_of_a_vehicle_with_two_driven_sides_both_are_slowed() -> None:
     vehicle = load_vehicle("jackal")
     task = load_scenario("posts").task()
     solvers = Solvers.of(task, vehicle, PLANNER)
-    plan = Proposer(solvers, PLANNER, 0).propose(0, start_state(task, vehicle), None).plan
+    plan = Proposer(PlanSearch(solvers, PLANNER, 0)).propose(0, start_state(task, vehicle), None).plan
     assert plan is not None
     assert model_of(vehicle).driven.tolist() == [True, True]
     assert model_of(load_vehicle("f1tenth")).driven.tolist() == [True, False]

@@ -21,6 +21,7 @@ from kraft.driving.control_settings import Dwa, Kinodynamic, Mppi, Nmpc
 from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
 from kraft.driving.method import Clearance, PlannerSettings, load_method
+from kraft.driving.plan_search import PlanSearch
 from kraft.driving.proposer import Proposer
 from kraft.driving.references import contingency_reference, plan_reference
 from kraft.driving.replanner import Replanner
@@ -372,7 +373,7 @@ def test_a_car_that_stands_though_it_drives_keeps_less_of_the_bound() -> None:
     made = Solvers.of(turns(), mushr(), planner)
     shares = []
     for speed in (0.0, 0.5):
-        proposer, state = Proposer(made, planner, 0), start().copy()
+        proposer, state = Proposer(PlanSearch(made, planner, 0)), start().copy()
         proposer.set_bound(DeviationBound(0.05, per_speed=0.1, horizon=planner.bound.horizon))
         plan = proposer.propose(0, state, None).plan
         for k in range(1, 13):
@@ -406,7 +407,7 @@ def test_far_from_the_goal_a_free_way_costs_less_than_a_collision(settings: Mppi
 def test_the_first_proposal_of_a_car_that_has_not_driven_keeps_the_whole_bound() -> None:
     planner = load_method("nmpc").planner
     assert planner.bound is not None
-    proposer = Proposer(Solvers.of(turns(), mushr(), planner), planner, 0)
+    proposer = Proposer(PlanSearch(Solvers.of(turns(), mushr(), planner), planner, 0))
     proposer.set_bound(DeviationBound(0.05, per_speed=0.1, horizon=planner.bound.horizon))
     proposer.propose(0, start(), None)
     assert share_kept(proposer) == planner.bound.shares[0]
@@ -414,7 +415,7 @@ def test_the_first_proposal_of_a_car_that_has_not_driven_keeps_the_whole_bound()
 
 def test_a_fixed_clearance_that_was_lowered_for_a_standing_car_is_asked_for_again() -> None:
     planner = PlannerSettings(mode="replanning", type="geodesic", safety=Clearance(delta=0.15, delta_per_speed=0.0))
-    proposer = Proposer(Solvers.of(turns(), mushr(), planner), planner, 0)
+    proposer = Proposer(PlanSearch(Solvers.of(turns(), mushr(), planner), planner, 0))
     proposer.dirt.set_delta(0.01)
     proposer.propose(1, start(), None)
     assert proposer.dirt.safety.delta == 0.15
@@ -425,8 +426,8 @@ def test_the_goal_stays_whole_for_others_that_use_the_solvers() -> None:
     made = Solvers.of(turns(), mushr(), planner)
     near = start().copy()
     near[:2] = np.add(made.goal.center, (0.02, 0.0))
-    Proposer(made, planner, 0).propose(0, near, None)
+    Proposer(PlanSearch(made, planner, 0)).propose(0, near, None)
     assert made.checking.goal is not None
     assert made.checking.goal.radius < made.goal.radius
-    Proposer(made, planner, 0).propose(0, start(), None)
+    Proposer(PlanSearch(made, planner, 0)).propose(0, start(), None)
     assert made.checking.goal.radius == made.goal.radius

@@ -14,6 +14,7 @@ from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Kinodynamic, OpenLoop
 from kraft.driving.messages import Cycle, Estimate, Uncertainty
 from kraft.driving.method import Clearance, PlannerSettings
+from kraft.driving.plan_search import PlanSearch
 from kraft.driving.proposal import Proposal
 from kraft.driving.proposer import Proposer
 from kraft.driving.replanner import Replanner
@@ -45,7 +46,7 @@ def planner_settings(**settings: object) -> PlannerSettings:
 
 def proposer(seed: int = 0, task: Task | None = None, realtime: bool = False, **settings: object) -> Proposer:
     planner = planner_settings(**settings)
-    return Proposer(Solvers.of(task or turns(), mushr(), planner), planner, seed, realtime=realtime)
+    return Proposer(PlanSearch(Solvers.of(task or turns(), mushr(), planner), planner, seed, realtime=realtime))
 
 
 def replanner(
