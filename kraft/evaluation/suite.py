@@ -33,6 +33,7 @@ from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.files import path_from
 from kraft.scenario import Scenario, load_scenario
+from kraft.scenario.paths import value_here
 
 EntryName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]{0,99}$")]
 ScenarioLike: TypeAlias = str | Path | Scenario
@@ -73,7 +74,8 @@ class Entry:
         base: name before keys were varied; entries with the same base differ in the varied keys alone.
         reference: name or path of the scenario's file; empty for a scenario that was loaded before.
         scenario: the scenario with all its keys set.
-        settings: values of the keys that were set, by dotted key, for a JSON file.
+        settings: values of the keys that were set, by dotted key, for a JSON file; paths in them begin at the working
+            directory.
     """
 
     name: str
@@ -101,7 +103,7 @@ class _Draft:
             name = self.name or self.scenario.name
             return Entry(name, name, "", self.scenario)
         scenario = load_scenario(self.scenario, self.overrides)
-        settings = {each.key: plain_value(each.value) for each in self.overrides}
+        settings = {each.key: plain_value(value_here(each)) for each in self.overrides}
         name = self.name or scenario.name
         return Entry(name, name, str(self.scenario), scenario, settings)
 

@@ -9,6 +9,7 @@ import pytest
 from support import fake_trials
 from support.diagnostics import located, raised
 
+from kraft.config import bundled
 from kraft.errors import Code
 from kraft.evaluation import evaluate
 from kraft.evaluation.suite import entries_of, load_suite
@@ -46,6 +47,25 @@ def test_an_entry_names_a_scenario_beside_its_suite(tmp_path: Path) -> None:
     (entry,) = load_suite(path)
     assert (entry.name, entry.scenario.name, entry.scenario.sensing.rate_hz) == ("a", "small", 5.0)
     assert load_scenario(entry.reference, entry.settings) == entry.scenario
+
+
+def test_paths_that_a_suite_sets_are_recorded_as_paths_from_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page and its commands load the scenarios again, from there and not from the folder of the suite."""
+    (tmp_path / "car.yaml").write_text(bundled.find("vehicle", "mushr").read_text())
+    (folder := tmp_path / "suites").mkdir()
+    truths = "truth: {model: ../car.yaml}", "truth.model: ../car.yaml", "vehicle: mushr"
+    entries = [f"  - {{name: e{k}, scenario: turns, set: {{{each}}}}}\n" for k, each in enumerate(truths)]
+    suite_file(folder, "".join(entries) + "  - {name: v, scenario: turns, set: {vehicle: ../car.yaml}}\n")
+    monkeypatch.chdir(tmp_path)
+    found = load_suite("suites/suite.yaml")
+    assert [each.settings for each in found] == [
+        {"truth": {"model": "car.yaml"}}, {"truth.model": "car.yaml"}, {"vehicle": "mushr"},
+        {"vehicle": "car.yaml"},
+    ]  # fmt: skip
+    for each in found:
+        assert load_scenario(each.reference, each.settings) == each.scenario
 
 
 def test_every_problem_of_a_suite_has_its_place(tmp_path: Path) -> None:
