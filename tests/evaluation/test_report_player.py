@@ -71,6 +71,27 @@ def test_a_replay_plays_pauses_steps_and_goes_to_other_trials(tab: Page, driven:
     tab.wait_for_function("() => location.hash === ''")  # the dialog's close event follows once it is hidden
 
 
+def test_the_legend_has_a_scale_and_the_obstacle_that_was_hit(tab: Page, driven: Driven) -> None:
+    hit = next(row for row in driven.evaluation.rows if row.outcome == "collision")
+    open_trial(tab, driven.url, hit.method, hit.seed)
+    assert tab.is_visible("#replay-hit")
+    for width in (1280, 500):
+        tab.set_viewport_size({"width": width, "height": 800})
+        length, unit = tab.inner_text("#replay-scale").split()
+        assert unit == "m"
+        car_length = driven.drive(hit.method, hit.seed)["footprint"][1]
+        drawn = tab.evaluate(
+            "() => { const [front, , , back] = document.querySelector('#stage .car.body').getAttribute('d')"
+            ".match(/-?[0-9.]+ -?[0-9.]+/g).map(each => DOMPoint.fromPoint((([x, y]) => ({x, y}))(each.split(' ')))"
+            ".matrixTransform(document.querySelector('#stage g').getScreenCTM()));"
+            " return Math.hypot(front.x - back.x, front.y - back.y); }"
+        )
+        bar = tab.evaluate("() => document.querySelector('#replay-scale .scale').getBoundingClientRect().width")
+        assert bar / float(length) == pytest.approx(drawn / car_length, rel=0.05)
+    open_trial(tab, driven.url)
+    assert not tab.is_visible("#replay-hit")
+
+
 def test_the_space_bar_presses_the_button_that_has_the_focus(tab: Page, driven: Driven) -> None:
     open_trial(tab, driven.url)
     tab.focus("#replay-forward")
@@ -180,6 +201,7 @@ def test_the_legend_names_only_what_the_floor_plan_has(tab: Page, driven: Driven
     assert [text.split("\n")[-1] for text in tab.locator(".marks li:visible").all_inner_texts()] == [
         "start, with its heading",
         "goal",
+        "0.5 m",
     ]
     start, nose = (
         tab.locator(f"#stage .{name}").evaluate("e => getComputedStyle(e).fill") for name in ("start", "nose")

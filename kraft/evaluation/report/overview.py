@@ -46,11 +46,11 @@ class Count:
         return "; ".join(f"--{name}: {100 * end / self.trials:.3g}%" for name, end in zip("stc", ends, strict=True))
 
     @property
-    def others(self) -> str:
-        """Outcomes that are not a success, in words."""
+    def others(self) -> list[str]:
+        """Numbers of the outcomes that are not a success, in words."""
         counts = ((self.collision, "collision"), (self.timeout, "timeout"))
         words = [counted(count, noun) for count, noun in counts if count]
-        return ", ".join([*words, *([f"{self.failed} failed"] if self.failed else [])])
+        return [*words, *([f"{self.failed} failed"] if self.failed else [])]
 
     @property
     def share(self) -> float:
@@ -75,16 +75,16 @@ def overview(results: Results) -> Element:
             _name(results, cell),
             [
                 *(_cell(by_cell.get((cell.name, method))) for method in methods),
-                *([_all(counts[cell.name], cell.name)] if several else []),
+                *([_together(counts[cell.name], entry=cell.name)] if several else []),
             ],
         )
         for cell in entries
     ]
     totals = {method: Count.over(summary.of_method(method)) for method in methods}
-    everything = [_all(Count.over(summary.results))] if several else []
+    everything = [_together(Count.over(summary.results))] if several else []
     titles = [*methods.values(), *(["all"] if several else [])]
     heading = element("tr", element("th", "entry"), *(element("th", title) for title in titles))
-    first = _line(["all entries"], [*(_total(n, m) for m, n in totals.items()), *everything], class_="totals")
+    first = _line(["all entries"], [*(_together(n, method=m) for m, n in totals.items()), *everything], class_="totals")
     table = element(
         "table",
         element("thead", heading),
@@ -187,7 +187,7 @@ def chip(result: Result) -> Element:
         return element("span", f"{result.title} {NO_VALUE}", class_="chip")
     aligned = str(count.success).rjust(len(str(count.trials)), "\u2007")  # a space as wide as a digit
     text = f"{result.title} ", element("b", aligned), f" of {count.trials}"
-    return element("span", *text, class_="chip ends", style=count.bar, title=count.others or None)
+    return element("span", *text, class_="chip ends", style=count.bar, title=", ".join(count.others) or None)
 
 
 def _name(results: Results, cell: RecordedCell) -> list[Content]:
@@ -219,21 +219,14 @@ def _cell(result: Result | None) -> Element:
     return _counts(Count.over([result]), paper, _list_link(entry=result.entry, method=result.method))
 
 
-def _all(count: Count, entry: str | None = None) -> Element:
-    if not count.trials:
-        return element("td", NO_VALUE, data_value="")
-    return _counts(count, None, _list_link(**({"entry": entry} if entry else {})), small=entry is not None)
+def _together(count: Count, **chosen: str) -> Element:
+    """Cell of the trials of several rows, which a filter of the list of trials selects."""
+    return _counts(count, None, _list_link(**chosen)) if count.trials else element("td", NO_VALUE, data_value="")
 
 
-def _total(count: Count, method: str) -> Element:
-    """Cell of a total; its other numbers are in the section about the methods."""
-    return _counts(count, None, _list_link(method=method), small=False) if count.trials else element("td", NO_VALUE)
-
-
-def _counts(count: Count, note: str | None, link: str, *, small: bool = True) -> Element:
-    beside = [element("small", text) for text in (count.others, note) if text and small]
+def _counts(count: Count, note: str | None, link: str) -> Element:
+    others = [*count.others, *([note] if note else [])]
     number = element("a", element("b", str(count.success)), element("span", f" of {count.trials}"), href=link)
-    title = ", ".join(text for text in (count.others, note) if text)
-    return element(
-        "td", number, *beside, class_="ends", style=count.bar, title=title or None, data_value=round(count.share, 6)
-    )
+    beside = (element("small", text) for text in others)
+    title = ", ".join(others) or None
+    return element("td", number, *beside, class_="ends", style=count.bar, title=title, data_value=round(count.share, 6))

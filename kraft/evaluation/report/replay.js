@@ -6,6 +6,8 @@ const TRAIL = 1.0; // time for which observations stay visible, s
 const LEGEND = 204, GAP = 24; // widths of the legend beside the floor plan and between plan and plots, px
 const ABOVE = 0.6; // share of the height that a floor plan above the plots has
 const LOWEST = 88, HIGHEST = 180; // heights of a plot, px
+const SCALES = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500]; // lengths that the bar of the legend may have, m
+const LONGEST_SCALE = 80; // px
 
 /** Make an SVG element; `attributes` are set as they are. */
 function draw(tag, attributes = {}, ...children) {
@@ -346,6 +348,7 @@ class Player {
     this.dialog.querySelector("input[data-layer=hidden]").parentElement.hidden = hidden;
     const blocked = this.drive.cycles.some((cycle) => cycle.blocked.length > 0);
     this.dialog.querySelector("input[data-layer=blocked]").parentElement.hidden = !blocked;
+    document.getElementById("replay-hit").hidden = !svg.querySelector(".hit");
   }
 
   /** Show trees too. */
@@ -376,6 +379,16 @@ class Player {
     const scale = Math.max(above, beside);
     this.dialog.style.setProperty("--plan-width", `${Math.floor(scale * width)}px`);
     this.dialog.style.setProperty("--plan-height", `${Math.floor(scale * height)}px`);
+    this.showScale();
+  }
+
+  /** A bar in the legend as long as a round length is in the floor plan. */
+  showScale() {
+    const [bar, words] = document.getElementById("replay-scale").children;
+    const pixels = this.stage.ground.getScreenCTM().a; // of a metre
+    const length = SCALES.findLast((each) => each * pixels <= LONGEST_SCALE) ?? SCALES[0];
+    bar.style.width = `${(length * pixels).toFixed(1)}px`;
+    words.textContent = `${length} m`;
   }
 
   /** Draw the plots, as high as their panel leaves room for. */
