@@ -162,6 +162,11 @@ class PlannerSettings(StrictModel):
     """model to plan with instead of the scenario's: a name, a YAML file or code"""
 
     @property
+    def car_switches(self) -> bool:
+        """Whether the car switches to the contingency by itself at the end of a cycle."""
+        return self.on_board == "contingency"
+
+    @property
     def clock_budget(self) -> float:
         """Planning time of a cycle in real-time mode, s."""
         return self.cycle * (1.0 - RESERVE) - self.lead

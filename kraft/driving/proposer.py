@@ -161,7 +161,7 @@ class Proposer:
         """
         checking = self.search.solvers.checking
         safety, slack = checking.safety, checking.slack(root)
-        if self.search.settings.on_board == "contingency":  # `slack` is that of the first disc that lacks clearance
+        if self.search.settings.car_switches:  # `slack` is that of the first disc that lacks clearance
             slack = min(slack, least_slack(checking, root[None, :], 0.0))
         lacks = -safety.delta < slack < safety.delta_per_time * safety.delta_horizon
         may_leave = was_recovering or bool(safety.is_resting(checking.vehicle, root))

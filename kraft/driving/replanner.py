@@ -9,20 +9,15 @@ end of cycle k; and plans from this state for cycle k + 1.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-
-import numpy as np
 
 from kraft.driving.blockage import Blockage
 from kraft.driving.bound import BoundCalibration, DeviationBound
 from kraft.driving.car_model import model_of
-from kraft.driving.contingencies import ContingencyRanking, TrackedContingency, emergency_reference
-from kraft.driving.contingency_candidates import Begin
 from kraft.driving.control import Controller, set_map
 from kraft.driving.messages import (  # fmt: skip
     Commitment,
-    ContingencyOrigin,
     Cycle,
     Estimate,
     Passage,
@@ -36,14 +31,13 @@ from kraft.driving.plan_search import PlanSearch
 from kraft.driving.prediction import ClosedLoopPredictor, least_slack, required_clearance
 from kraft.driving.proposal import Proposal
 from kraft.driving.proposer import RECOVERY_MARGIN, Proposer
-from kraft.driving.references import at_rest, contingency_reference, plan_reference, standing_reference
-from kraft.driving.room import nearest_free, place_with_room, refusal
+from kraft.driving.references import at_rest, standing_reference
+from kraft.driving.room import nearest_free, place_with_room
+from kraft.driving.safety_check import CycleStart, Decision, SafetyCheck
 from kraft.driving.solvers import Solvers
-from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats
 from ompl_ext.obstacles import Polygon
-from ompl_ext.plan import Plan
-from ompl_ext.poses import displacement, poses_of
+from ompl_ext.poses import poses_of
 from ompl_ext.times import SAME_TIME
 
 SETTLED = 0.3
@@ -60,32 +54,6 @@ a vehicle stands where the obstacle closes the only way.
 """
 NOISE = 0.1
 """Largest estimated speed of a vehicle that stands, m/s."""
-
-
-@dataclass(frozen=True)
-class Decision:
-    """Reference committed for a cycle, and the reason if it is a contingency; `plan` is None then.
-
-    `predicted` is the predicted motion over the cycle and `contingency` the manoeuvre that stops the vehicle after it;
-    `origin` is that of a committed contingency.  `stopping` is the predicted motion of the contingency until
-    standstill, if it is known.
-    """
-
-    reference: Reference
-    predicted: PredictedMotion
-    reason: str
-    plan: Plan | None = None
-    contingency: Reference | None = None
-    origin: ContingencyOrigin | None = None
-    stopping: PredictedMotion | None = None
-
-
-@dataclass(frozen=True)
-class Refused:
-    """Why a plan may not be committed, and whether driving it more slowly may help."""
-
-    reason: str
-    may_be_slowed: bool = False
 
 
 class Replanner:
@@ -129,16 +97,14 @@ class Replanner:
         self._has_maps = True  # whether the solvers in use know them
         self._fruitless = 0  # number of the latest cycles without a plan to the goal
         self._predict = ClosedLoopPredictor(self.dirt, controller, period)
-        self._ranking: ContingencyRanking | None = None
-        self._model: VehicleModel | None = None
-        if settings.contingencies == "tracked":
-            self._model = model_of(self.dirt.vehicle)
-            self._ranking = ContingencyRanking(self.dirt, self._predict, self._model)
+        self._model = model_of(self.dirt.vehicle) if settings.contingencies == "tracked" else None
+        self._check = SafetyCheck(self.proposer.search, settings, self._predict, self._model)
         self._calibration = BoundCalibration(settings.bound, self.dirt.vehicle) if settings.bound else None
         self._calibrated = math.nan  # time at which the motion was decided that the bound is calibrated with (s)
         self._bound: DeviationBound | None = None
         self._delta = self.dirt.safety.delta
         self._one_shot = settings.mode == "one-shot"
+        self._switches = settings.car_switches
         self.set_delay(delay)
         self._number = 0
         self.proposal = Proposal(None, "no plan has been made yet")
@@ -146,7 +112,6 @@ class Replanner:
         self._contingency: Reference | None = None
         self._decision: Decision | None = None
         self._in_transit: list[tuple[float, Commitment]] = []
-        self._moved_from: Floats | None = None  # predicted start of the cycle, if it was moved to where there is room
 
     def set_delay(self, delay: float) -> None:
         """Set the delay from the replanner to the effect of a command (s), as far as it is known now."""
@@ -201,9 +166,7 @@ class Replanner:
         self._solvers, self.dirt, self._has_maps = solvers, solvers.checking, True
         self._predict = replace(self._predict, dirt=self.dirt)
         set_map(self._predict.controller, self.dirt)
-        if self._ranking is not None:
-            assert self._model is not None, "a ranking has a model"
-            self._ranking = ContingencyRanking(self.dirt, self._predict, self._model)
+        self._check = SafetyCheck(self.proposer.search, self._settings, self._predict, self._model)
         self._delta = self.dirt.safety.delta
         if self._bound is not None:
             self._set_bound(self._bound)
@@ -231,9 +194,9 @@ class Replanner:
         cycle_start = self._number * self._settings.cycle + self._cycle_offset
         if self._stands(estimate, current):
             estimate = replace(estimate, state=at_rest(self.dirt.vehicle, estimate.state))
-        root, current = self._root(estimate, cycle_start, current)
-        self._relax(root)
-        decision = self._decide(root, cycle_start, estimate, current)
+        start = self._cycle_start(estimate, cycle_start, current)
+        self._relax(start.root)
+        decision = self._check.decide(self.proposal, start)
         self._contingency = decision.contingency
         cycle = replace(self._record(decision, cycle_start, estimate), held=held)
         if self._calibration is not None and estimate.uncertainty is not None:
@@ -323,138 +286,20 @@ class Replanner:
             if slack < 0.0 or recovers:
                 dirt.set_delta(min(self._delta, max(0.0, dirt.safety.delta + slack - RECOVERY_MARGIN)))
 
-    def _root(self, estimate: Estimate, cycle_start: float, current: Commitment) -> tuple[Floats, Commitment]:
-        """Predicted state (nx,) at the start of the cycle, and the commitment that is on board until then."""
+    def _cycle_start(self, estimate: Estimate, cycle_start: float, current: Commitment) -> CycleStart:
+        """Predicted start of the cycle, with the commitment that is on board until then."""
         state, time = nearest_free(self.dirt, estimate.state), estimate.time
         self._in_transit = [sent for sent in self._in_transit if sent[0] > time + SAME_TIME]
         for arrives, following in self._in_transit:
             state, time, current = self._predict(state, time, arrives, current).final_state, arrives, following
         predicted = self._predict(state, time, cycle_start, current).final_state
         root = self._with_room(predicted)
-        self._moved_from = None if root is predicted else predicted
-        return root, current
+        moved_from = None if root is predicted else predicted
+        return CycleStart(self._number, cycle_start, root, moved_from, current, self._contingency, estimate.age)
 
     def _with_room(self, root: Floats) -> Floats:
         """Predicted start of a cycle; that of a vehicle at rest has a little room, or as much as there is nearby."""
         return place_with_room(self.dirt, root) if self._switches and self._is_resting(root) else root
-
-    def _decide(self, root: Floats, cycle_start: float, estimate: Estimate, current: Commitment) -> Decision:
-        """Safety check right before a cycle, from the latest estimate."""
-        plan = self.proposal.plan
-        if plan is None:
-            return self._choose_contingency(root, cycle_start, current, self.proposal.reason)
-        if self._number > 0 and estimate.age > self._settings.patience:
-            old = math.isfinite(estimate.age)
-            reason = f"the newest observation is {estimate.age:.2f} s old" if old else "no observation has arrived"
-            return self._choose_contingency(root, cycle_start, current, reason)
-        decision = self._checked(plan, root, cycle_start)
-        if isinstance(decision, Refused) and decision.may_be_slowed:
-            plans = self.proposer.search.slower(self._number, plan, root)
-            slower = (self._checked(each, root, cycle_start) for each in plans)
-            decision = next((each for each in slower if isinstance(each, Decision)), decision)
-        if isinstance(decision, Decision):
-            return decision
-        return self._choose_contingency(root, cycle_start, current, f"from the latest estimate {decision.reason}")
-
-    def _checked(self, plan: Plan, root: Floats, cycle_start: float) -> Decision | Refused:
-        """The decision for a plan, as the controller will track it from `root`, or why it may not be committed."""
-        cycle_end = cycle_start + self._settings.cycle
-        followed = self._settings.cycle if self._switches else 0.0  # else the law drives on to the end of the plan
-        reference = plan_reference(self.dirt.vehicle, plan, cycle_start, followed)
-        predicted = self._predict(root, cycle_start, cycle_end, Commitment(reference))
-        if self._one_shot:
-            return Decision(reference, predicted, "", plan)
-        if predicted.slack < 0.0 and not self.dirt.safety.enabled:
-            return Refused("the motion along the plan may touch an obstacle")
-        if predicted.slack < 0.0:
-            return Refused(f"the plan lacks {-predicted.slack:.3f} m of clearance")
-        if not self.dirt.safety.enabled:
-            return Decision(reference, predicted, "", plan)
-        if self.proposer.loss is not None and self.proposer.loss.slack(predicted) < 0.0:
-            return Refused("the plan leaves no room for a stop without commands", may_be_slowed=True)
-        if self._moved_from is not None:
-            refused = refusal(self.dirt, self._moved_from, root, plan, predicted.states)
-            if refused is not None:
-                return Refused(refused)
-        stop, stopping = self._contingency_after(reference, predicted.final_state, cycle_start)
-        if stop is None:
-            return Refused("no manoeuvre stops safely after the plan")
-        return Decision(reference, predicted, "", plan, stop, stopping=stopping)
-
-    def _contingency_after(
-        self, plan: Reference, state: Floats, cycle_start: float
-    ) -> tuple[Reference | None, PredictedMotion | None]:
-        """Contingency from `state` (nx,) at the cycle's end, and its motion if predicted; None if none is safe."""
-        time = cycle_start + self._settings.cycle
-        if self._ranking is not None:
-            best = self._ranking.best(Begin(state, time, cycle_start), None, [plan])
-            return (best.reference, best.predicted) if best.is_verified else (None, None)
-        safe = self.dirt.contingency(state, time)  # Alg. 2
-        if safe is None:
-            return None, None
-        contingency = contingency_reference(self.dirt.vehicle, safe)
-        return contingency, self._predict.until_rest(state, time, contingency, cycle_start) if self._switches else None
-
-    @property
-    def _switches(self) -> bool:
-        """Whether the car switches to the contingency by itself."""
-        return self._settings.on_board == "contingency"
-
-    def _choose_contingency(self, root: Floats, cycle_start: float, current: Commitment, reason: str) -> Decision:
-        """Commit a contingency: one verified from the root, else the stored one, else the unverified emergency.
-
-        Tracked contingencies have one ranking instead.
-        """
-        cycle_end = cycle_start + self._settings.cycle
-        if self._switches and self._is_resting(root):
-            return self._stand(root, cycle_start, current, reason)
-        tracked = current.reference_at(cycle_start)
-        stored = tracked if tracked.kind is ReferenceKind.CONTINGENCY else self._contingency
-        if self._ranking is not None:
-            best = self._best_contingency(self._ranking, root, cycle_start, stored, current)
-            predicted = self._predict(root, cycle_start, cycle_end, Commitment(best.reference))
-            return Decision(best.reference, predicted, reason, None, best.reference, best.origin, best.predicted)
-        safe = self.dirt.contingency(root, cycle_start)
-        if safe is not None:
-            reference, origin = contingency_reference(self.dirt.vehicle, safe), ContingencyOrigin.SAFE
-        elif stored is not None and self._is_near(root, stored.state_at(cycle_start)):
-            reference, origin = stored, ContingencyOrigin.IN_HAND
-        else:
-            reference, origin = emergency_reference(self.dirt, root, cycle_start), ContingencyOrigin.EMERGENCY
-        predicted = self._predict(root, cycle_start, cycle_end, Commitment(reference))
-        stopping = self._predict.until_rest(root, cycle_start, reference, cycle_start) if self._switches else None
-        return Decision(reference, predicted, reason, None, reference, origin, stopping)
-
-    def _stand(self, root: Floats, cycle_start: float, current: Commitment, reason: str) -> Decision:
-        """Commit that the vehicle stays where it stands: at the end of the contingency that stopped it, if one did.
-
-        That was verified for this place; a new estimate of the place is not.
-        """
-        root, tracked = at_rest(self.dirt.vehicle, root), current.reference_at(cycle_start)
-        over = tracked.kind is ReferenceKind.CONTINGENCY and cycle_start >= tracked.end
-        standing = tracked if over else standing_reference(self.dirt.vehicle, root, cycle_start)
-        times = cycle_start + np.array([0.0, self._settings.cycle])
-        predicted = PredictedMotion(times, np.vstack([root, root]), least_slack(self.dirt, root[None, :], 0.0))
-        return Decision(standing, predicted, reason, None, standing, ContingencyOrigin.STANDING, predicted)
-
-    def _best_contingency(
-        self, ranking: ContingencyRanking, root: Floats, time: float, stored: Reference | None, current: Commitment
-    ) -> TrackedContingency:
-        """Best tracked contingency from the root, with the plan on board and the refused one as paths to follow."""
-        plans = [current.reference] if current.reference.kind is ReferenceKind.PLAN else []
-        if self.proposal.plan is not None:
-            plans.append(plan_reference(self.dirt.vehicle, self.proposal.plan, time))
-        return ranking.best(Begin(root, time, time), stored, plans)
-
-    def _is_near(self, root: Floats, expected: Floats) -> bool:
-        """Whether no point of the vehicle is farther than 2 delta(v) from the state that a manoeuvre was verified for.
-
-        Any point of the vehicle may deviate from its prediction by delta(v), and the estimate from the vehicle by as
-        much (Theorem 1).
-        """
-        return displacement(root, expected, self.dirt.vehicle) <= 2.0 * float(
-            required_clearance(self.dirt, expected[None, :], 0.0)[0]
-        )
 
     def _with_delta(self, motion: PredictedMotion, cycle_start: float) -> PredictedMotion:
         """A motion with its bound, or with the clearance that SAFETY asks of it, if it asks for any."""

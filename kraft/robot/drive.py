@@ -134,7 +134,7 @@ def check_method(method: Method) -> None:
         kind = method.controller.kind
         what = "code with set_map" if kind == "code" else kind
         wrong("controller.kind", f"is {what}, which needs the map", "expected a controller that tracks plans")
-    if planner.mode != "replanning" or planner.on_board != "contingency":
+    if planner.mode != "replanning" or not planner.car_switches:
         problem = "leaves the vehicle without a contingency on board"
         wrong(
             "planner.on_board",

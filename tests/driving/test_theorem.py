@@ -9,7 +9,10 @@ import pytest
 from benchmarks import theorem
 from benchmarks.effort import SMOKE
 from benchmarks.theorem import Episode, episode, run
-from kraft.driving.replanner import Replanner
+from kraft.driving.messages import Commitment
+from kraft.driving.proposal import Proposal
+from kraft.driving.references import plan_reference
+from kraft.driving.safety_check import CycleStart, Decision, SafetyCheck
 
 
 @cache
@@ -50,18 +53,14 @@ def test_all_cycles_of_an_episode_are_counted(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_without_the_check_before_a_cycle_the_hostile_world_hits(monkeypatch: pytest.MonkeyPatch) -> None:
-    def trusting(self: Replanner, root, begins, estimate, current):  # type: ignore[no-untyped-def]
-        from kraft.driving.messages import Commitment
-        from kraft.driving.references import plan_reference
-        from kraft.driving.replanner import Decision
+    def trusting(self: SafetyCheck, proposal: Proposal, start: CycleStart) -> Decision:
+        if proposal.plan is None:
+            return self._choose_contingency(start, None, proposal.reason)
+        reference = plan_reference(self._dirt.vehicle, proposal.plan, start.time)
+        predicted = self._predict(start.root, start.time, start.time + 1.0, Commitment(reference))
+        return Decision(reference, predicted, "", proposal.plan)
 
-        plan = self.proposal.plan
-        if plan is None:
-            return self._choose_contingency(root, begins, current, self.proposal.reason)
-        reference = plan_reference(self.dirt.vehicle, plan, begins)
-        return Decision(reference, self._predict(root, begins, begins + 1.0, Commitment(reference)), "", plan)
-
-    monkeypatch.setattr(Replanner, "_decide", trusting)
+    monkeypatch.setattr(SafetyCheck, "decide", trusting)
     assert any(episode(number).clearance <= 0.0 for number in range(27, 90, 2))  # as a rule the first one
 
 
