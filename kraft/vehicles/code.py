@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numba
 from numba import types
 from numba.core.dispatcher import Dispatcher
-from numba.core.errors import NumbaError
+from numba.core.errors import NumbaError, UnsupportedBytecodeError
 
 from kraft.config.document import Document
 from kraft.config.schema import Name, StrictModel, check
@@ -218,12 +218,12 @@ def _problems(function: _Function) -> Iterator[tuple[str, str]]:
     try:
         dispatcher.compile(signature)
         returned: Any = dispatcher.overloads[signature].signature.return_type
-    except (NumbaError, TypeError) as error:  # TypeError: another number of arguments
+    except (NumbaError, UnsupportedBytecodeError, TypeError) as error:  # TypeError: another number of arguments
         expected = f"expected {function.role}{function.parameters}, arithmetic on tuples of floats"
         yield f"{label} does not compile: {readable(error)}", expected
         return
     kinds = list(_untyped(returned)) if isinstance(returned, types.BaseTuple) else None
-    if kinds is None or not all(isinstance(kind, types.Number) for kind in kinds):
+    if kinds is None or not all(_is_real(kind) for kind in kinds):
         yield f"{label} returns {_named(returned)}", f"expected a tuple of {count} numbers"
     elif len(kinds) != count:
         yield (
@@ -237,8 +237,9 @@ def _problems(function: _Function) -> Iterator[tuple[str, str]]:
 def _not_finite(dispatcher: Any, arguments: tuple[Any, ...], label: str) -> Iterator[tuple[str, str]]:
     try:
         values = dispatcher(*arguments)
-    except ArithmeticError as error:  # a function compiled with error_model="python" raises
-        yield f"{label} fails at rest: {error}", "expected finite numbers"
+    except Exception as error:  # its own `raise` or `assert`, or an arithmetic error with error_model="python"
+        text = str(error) or type(error).__name__
+        yield f"{label} fails at rest: {text}", "expected finite numbers"
         return
     if not all(math.isfinite(value) for value in values):
         listed = ", ".join(f"{value:g}" for value in values)
@@ -255,6 +256,8 @@ def readable(error: Exception) -> str:
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
     if "NRT required" in text:
         return "it creates a list or an array, but kernels cannot allocate memory"
+    # an `UnsupportedBytecodeError` has its place at the end of its sentence
+    text = re.sub(r"\.* Raised from (?:None|(.+) \((\d+)\))", r'\nFile "\1", line \2:', text)
     lines = [line.strip() for line in text.splitlines()]
     sentence = next((line for line in lines if line and not line.startswith(("Failed in", "- Resolution"))), text)
     place = re.search(r'File "(?P<file>[^"]+)", line (?P<line>\d+):', text)
@@ -262,8 +265,12 @@ def readable(error: Exception) -> str:
     return f"{short} ({place['file']}:{place['line']})" if place else short
 
 
+def _is_real(kind: object) -> bool:
+    return isinstance(kind, types.Number) and not isinstance(kind, types.Complex)
+
+
 def _named(returned: object) -> str:
-    if isinstance(returned, types.Number):
+    if _is_real(returned):
         return "one number"
     if not isinstance(returned, types.BaseTuple):
         return str(returned)
