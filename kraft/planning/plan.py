@@ -314,7 +314,9 @@ def _failure_reason(task: Task, vehicle: Vehicle, plan: Plan | None, progress: P
     if plan is not None:
         return f"no plan reaches the goal after {used}; the best one ends {_distance_to_goal(task, vehicle, plan)}"
     unsafe = f", {progress.unsafe} of them because no contingency is safe" if progress.unsafe else ""
-    return f"no edge may be executed after {used}, of {counted(progress.edges, 'edge')} tried{unsafe}"
+    # OMPL's own planners do not count the edges that they try
+    tried = f", of {counted(progress.edges, 'edge')} tried{unsafe}" if progress.edges else ""
+    return f"no edge may be executed after {used}{tried}"
 
 
 def _distance_to_goal(task: Task, vehicle: Vehicle, plan: Plan) -> str:

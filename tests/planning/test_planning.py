@@ -309,6 +309,14 @@ def test_a_budget_too_small_returns_the_plan_that_ends_nearest(mushr: Vehicle) -
     assert f"ends {distance:.3g} m from the goal region" in result.reason
 
 
+def test_no_edges_are_told_of_a_planner_that_does_not_count_them(mushr: Vehicle) -> None:
+    task = load_scenario("turns", {"planning.planner": "rrt"}).task()
+    result = plan_task(task, mushr, Budget(seconds=1e-9))
+    assert result.plan is None
+    assert result.reason.startswith("no edge may be executed after ")
+    assert "tried" not in result.reason
+
+
 def test_a_heading_that_is_missed_is_what_is_missing(mushr: Vehicle) -> None:
     goal = "radius: 0.3, heading_deg: 180, heading_tolerance_deg: 0.01"
     result = plan_task(room(("radius: 0.3", goal)), mushr, Budget(iterations=500))  # before local optimisation begins
