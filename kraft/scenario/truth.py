@@ -88,11 +88,11 @@ class Tilt(StrictModel):
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
         """Check that there is one angle; a key that is unknown may be meant as one, and is reported anyway."""
         angle, degrees = content.get("angle"), content.get("angle_deg")
-        neither = angle is None and degrees is None and set(content) <= set(cls.model_fields)
-        if neither or (angle is not None and degrees is not None):
-            code = Code.MISSING if angle is None else Code.CONFLICT
-            expected = "expected angle in rad or angle_deg in degrees"
-            yield refuse("needs one of `angle` and `angle_deg`", expected, code=code)
+        expected = "expected angle in rad or angle_deg in degrees"
+        if angle is None and degrees is None and set(content) <= set(cls.model_fields):
+            yield refuse("needs one of `angle` and `angle_deg`", expected, code=Code.MISSING)
+        elif angle is not None and degrees is not None:
+            yield refuse("both `angle` and `angle_deg` are given", expected, code=Code.CONFLICT)
 
     @property
     def slope(self) -> float:

@@ -238,6 +238,13 @@ def test_every_change_of_the_truth_that_is_out_of_order_is_reported_with_all_oth
     assert found == {*times, ("truth.changes[2].time", "type"), ("truth.changes[3].floor_friction", "value")}
 
 
+def test_two_angles_of_a_tilt_are_told_apart_from_none() -> None:
+    (none,) = problems_of(with_line("truth: {tilt: {}}"))
+    (two,) = problems_of(with_line("truth: {tilt: {angle: 0.1, angle_deg: 5}}"))
+    assert none.problem == "needs one of `angle` and `angle_deg`"
+    assert two.problem == "both `angle` and `angle_deg` are given"
+
+
 def test_another_word_for_a_shape_is_understood(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(
         "name: a\nbounds: {x: [0, 4], y: [0, 4]}\nobstacles:\n  - {disc: {center: [2, 2], radius: 0.3}}\n"
