@@ -17,6 +17,8 @@ from urllib.request import url2pathname
 import numpy as np
 from pydantic import BaseModel
 
+from kraft.text import counted
+
 PLANNING: Final = ("numba", "numpy", "ompl")
 """Distributions that a plan depends on."""
 SIMULATION: Final = (*PLANNING, "mujoco", "scipy")
@@ -26,6 +28,9 @@ IDENTIFICATION: Final = ("gtsam", "numba", "numpy", "scipy")
 
 MISSING: Final = object()
 """Stands for a value that is absent."""
+
+_TOLD: Final = 200
+"""Longest text of two lists that are not equally long to repeat whole, characters."""
 
 
 def versions(distributions: Iterable[str]) -> dict[str, str]:
@@ -78,6 +83,7 @@ def plain_hash(value: Any) -> str:
 def differences(was: Any, now: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
     """Keys and both values of every difference between two JSON values; a hash only where no value differs.
 
+    Lists of mappings or of lists that are equally long are compared item by item: the key has the index of the item.
     A value that is absent is `MISSING`.
     """
     if isinstance(was, dict) and isinstance(now, dict):
@@ -88,8 +94,19 @@ def differences(was: Any, now: Any, path: tuple[str, ...] = ()) -> Iterator[tupl
         ]
         of_values = [difference for difference in found if difference[0][-1] != "sha256"]
         yield from of_values or found
+    elif path and _are_comparable_lists(was, now):
+        for index, (one, other) in enumerate(zip(was, now, strict=True)):
+            yield from differences(one, other, (*path[:-1], f"{path[-1]}[{index}]"))
     elif was != now:
         yield path, was, now
+
+
+def _are_comparable_lists(was: Any, now: Any) -> bool:
+    """Whether two values are lists of as many mappings or lists; coordinates are told together."""
+    both = [was, now]
+    if not all(isinstance(value, list) for value in both) or len(was) != len(now):
+        return False
+    return all(isinstance(item, dict | list) for value in both for item in value)
 
 
 def difference_text(was: Any, now: Any) -> str:
@@ -98,6 +115,8 @@ def difference_text(was: Any, now: Any) -> str:
         return f"was absent, is {_json(now)} now"
     if now is MISSING:
         return f"was {_json(was)}, is absent now"
+    if isinstance(was, list) and isinstance(now, list) and len(was) != len(now) and len(_json([was, now])) > _TOLD:
+        return f"was a list of {counted(len(was), 'item')}, is one of {len(now)} now"
     return f"was {_json(was)}, is {_json(now)} now"
 
 
