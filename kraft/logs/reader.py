@@ -17,13 +17,21 @@ from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.cleaning import clean
 from kraft.logs.discover import FORMATS, GUARD, Candidate, discover, unreadable
 from kraft.logs.guess import choose, unknown_controls
-from kraft.logs.log import Log, LogSet, Source
+from kraft.logs.log import Array, Log, LogSet, Part, Source
 from kraft.logs.mapping import Column, Control, Mapping
 from kraft.logs.matching import written_at
+from kraft.logs.motion import Chords, chords
 from kraft.logs.names import SYNONYMS, control_score
 from kraft.logs.streams import Choice, in_any_unit, on_one_clock, with_reach
 from kraft.logs.table import Table, read_csv
-from kraft.logs.units import DegreesError, SwappedError, assumed_radians
+from kraft.logs.units import (
+    DegreesError,
+    SwappedError,
+    assumed_radians,
+    shows_axes,
+    shows_radians,
+    shows_steering_radians,
+)
 from kraft.text import suggestion
 from kraft.vehicles import CAR_CONTROLS
 
@@ -208,11 +216,11 @@ def _hashed(path: Path) -> Source:
 def _without_swapped(
     read: Sequence[tuple[Log, Choice]], columns: set[tuple[str, str]]
 ) -> tuple[list[tuple[Log, Choice]], list[Diagnostic]]:
-    """Leave out logs whose x and y are swapped in other logs, even if a straight drive does not reveal it."""
+    """Leave out logs whose x and y are swapped in other logs, if they do not show theirs, as a straight drive."""
     kept, problems = [], []
     for log, choice in read:
         x, y = (channel.column for channel in choice.poses.channels[:2])
-        if (x, y) in columns:
+        if (x, y) in columns and not _shows_axes(log):
             problem = f"{x!r} and {y!r} are swapped in other logs"
             expected = f"write poses: {{x: {y!r}, y: {x!r}}} into a mapping file"
             problems.append(choice.poses.table.diagnostic(problem, expected, code=Code.MISMATCH))
@@ -224,19 +232,40 @@ def _without_swapped(
 def _without_degrees(
     read: Sequence[tuple[Log, Choice]], columns: set[tuple[str, str]]
 ) -> tuple[list[Log], list[Diagnostic]]:
-    """Leave out logs whose columns hold degrees in other logs, even if a straight drive does not reveal it."""
+    """Leave out logs whose columns hold degrees in other logs, if they do not show radians, as a straight drive."""
     logs, problems = [], []
     for log, choice in read:
         channels = [
             (s.table, channel) for _, s in choice.streams() for channel in s.channels if assumed_radians(channel)
         ]
-        alike = [(table, channel) for table, channel in channels if (channel.role, channel.column) in columns]
+        alike = [
+            (table, channel)
+            for table, channel in channels
+            if (channel.role, channel.column) in columns and not _shows_radians(log, channel.role)
+        ]
         for table, channel in alike:
             problem = f"{channel.column!r} is in degrees in other logs, so that radians are not assumed here"
             problems.append(table.diagnostic(problem, "expected radians, or the unit in a mapping file"))
         if not alike:
             logs.append(log)
     return logs, problems
+
+
+def _shows_axes(log: Log) -> bool:
+    return any(shows_axes(*_path(part)) for part in log.parts)
+
+
+def _shows_radians(log: Log, role: str) -> bool:
+    """Whether a yaw or a steering command of a log is evidently in radians."""
+    if role not in log.controls:
+        return any(shows_radians(*_path(part)) for part in log.parts)
+    k = log.controls.index(role)
+    return any(shows_steering_radians(*_path(part), part.commands[:, k]) for part in log.parts)
+
+
+def _path(part: Part) -> tuple[Chords, Array]:
+    """Path and yaw of the poses of a part."""
+    return chords(part.pose_times, part.poses[:, :2]), part.poses[:, 2]
 
 
 def heading(table: Table) -> Table:

@@ -23,6 +23,12 @@ POSE_INTERVAL_MIN, POSE_INTERVAL_MAX = 1e-5, 2.0
 """Usual time between poses beyond which stamps are in another unit, or show no motion, s."""
 STEERING_MAX: Final = 1.6
 """Steering command above which it is no angle in radians, a little more than a right angle."""
+FOLLOWS_MIN, FOLLOWS_NOT_MAX = 0.9, 0.7
+"""Agreement of a yaw with the direction of motion above which it follows it, and below which it does not."""
+FOLLOWS_DIFFERENCE: Final = 0.05
+"""Difference of the agreements of two yaws above which they are told apart."""
+CURVATURE_MIN, WHEELBASE_MIN = 0.2, 0.05
+"""Least mean curvature of a path that tells the unit of the steering, 1/m, and least wheelbase of a car, m."""
 SIDEWAYS_MIN: Final = 1.2
 """Difference of the direction of motion from a yaw, rad, above which it counts as a right angle."""
 _CHORDS_MIN: Final = 5
@@ -53,6 +59,31 @@ class SwappedError(InputError):
 def assumed_radians(channel: Channel) -> bool:
     """Whether radians are only assumed for a column."""
     return channel.unit == "rad" and not (channel.place is not None and channel.stated)
+
+
+def shows_radians(path: Chords, yaw: Array) -> bool:
+    """Whether a yaw, shape (n,), follows the direction of motion in radians and less so in degrees."""
+    return _follows_rather(path, yaw, np.deg2rad(yaw))
+
+
+def shows_axes(path: Chords, yaw: Array) -> bool:
+    """Whether a yaw, shape (n,), follows the direction of motion and less so with x and y swapped."""
+    return _follows_rather(_ahead(path, yaw), yaw, -yaw)
+
+
+def _follows_rather(path: Chords, yaw: Array, other: Array) -> bool:
+    """Whether a yaw follows the direction of motion, and another one less; on a straight drive any constant does."""
+    follows = agreement(path, yaw)[0]
+    return follows > FOLLOWS_MIN and agreement(path, other)[0] < follows - FOLLOWS_DIFFERENCE
+
+
+def shows_steering_radians(path: Chords, yaw: Array, steering: Array) -> bool:
+    """Whether a yaw, shape (n,), turns more than the steering commands, shape (m,), would turn a car in degrees."""
+    if len(path.directions) < _CHORDS_MIN:
+        return False
+    lengths = path.speeds * path.durations
+    curvature = float(np.abs(np.diff(yaw[path.ends], axis=1)).sum() / lengths.sum())
+    return curvature > max(CURVATURE_MIN, float(np.deg2rad(np.abs(steering).mean())) / WHEELBASE_MIN)
 
 
 def check_units(commands: tuple[Samples, ...], poses: Samples, xyyaw: Array, findings: Findings) -> None:
@@ -161,7 +192,7 @@ def _follows_as_degrees(path: Chords, yaw: Array) -> bool:
         return False
     as_radians, offset = agreement(path, yaw)
     as_degrees, offset_degrees = agreement(path, np.deg2rad(yaw))
-    if as_degrees > 0.9 and as_radians < 0.7:
+    if as_degrees > FOLLOWS_MIN and as_radians < FOLLOWS_NOT_MAX:
         return True
     straight = as_degrees > 0.95 and as_degrees >= as_radians - 0.01  # any constant follows a straight line
     return straight and abs(offset_degrees) < 0.2 < abs(offset)
@@ -179,11 +210,11 @@ def _heading(poses: Samples, path: Chords, yaw: Array, findings: Findings) -> No
     if len(path.directions) < _CHORDS_MIN:
         return
     follows, offset = agreement(path, yaw)
-    aside = follows > 0.9 and abs(offset) > SIDEWAYS_MIN
-    if follows > 0.7 and not aside:
+    aside = follows > FOLLOWS_MIN and abs(offset) > SIDEWAYS_MIN
+    if follows > FOLLOWS_NOT_MAX and not aside:
         return
     reverse, offset = agreement(path, -yaw)
-    mirrored = not aside and reverse > 0.9
+    mirrored = not aside and reverse > FOLLOWS_MIN
     if mirrored and abs(offset) > SIDEWAYS_MIN:
         x, y, *turn = poses.stream.channels
         problem = f"{x.column!r} and {y.column!r} are swapped: the vehicle moves as its yaw says if the first is y"

@@ -114,3 +114,36 @@ def test_the_line_for_a_compass_heading_makes_it_a_yaw(tmp_path: Path) -> None:
 def test_a_yaw_at_a_right_angle_to_the_motion_is_said_with_what_to_write(tmp_path: Path, turn: float) -> None:
     (log,) = read_logs(with_yaw(tmp_path, np.rad2deg(WIDE["yaw"]) + turn)).logs
     assert f"poses.yaw: {{column: 'heading_deg', unit: deg, zero: {turn:g}}}" in finding(log, "heading").text
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"yaw": np.rad2deg(WIDE["yaw"])},
+        {"steering": np.rad2deg(WIDE["steering"])},
+        {"x": WIDE["y"], "y": WIDE["x"]},
+        {"yaw": np.pi / 2 - WIDE["yaw"]},
+    ],
+    ids=["degrees", "steering", "swapped", "compass"],
+)
+def test_a_log_that_shows_its_own_units_and_axes_is_not_left_out_with_another(
+    tmp_path: Path, changed: dict[str, np.ndarray]
+) -> None:
+    write_wide(tmp_path / "good.csv")
+    write_wide(tmp_path / "slight.csv", made=drive(turn=0.1))
+    write_wide(tmp_path / "bad.csv", changed)
+    found = read_logs(tmp_path)
+    assert [log.name for log in found.logs] == ["good", "slight"]
+    assert [problem.file for problem in found.problems] == [str(tmp_path / "bad.csv")]
+
+
+@pytest.mark.parametrize("steering", [0.0, 1.2])
+def test_a_straight_drive_does_not_show_the_unit_of_its_steering(tmp_path: Path, steering: float) -> None:
+    write_wide(tmp_path / "curved.csv", {"steering": np.rad2deg(WIDE["steering"])})
+    still = np.zeros(N)
+    write_wide(tmp_path / "straight.csv", {"x": 0.8 * TIMES, "y": still, "yaw": still, "steering": still + steering})
+    with pytest.raises(InputError) as error:
+        read_logs(tmp_path)
+    assert {problem.file for problem in error.value.diagnostics} == {
+        str(tmp_path / name) for name in ("curved.csv", "straight.csv")
+    }
