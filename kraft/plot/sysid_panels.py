@@ -129,11 +129,9 @@ def _columns(width: float) -> int:
 
 
 def _cells(name: str, estimate: ParameterEstimate) -> tuple[str, str, str, str]:
-    """Cells of a row; the standard deviation decides the number of decimals."""
-    size = estimate.std if estimate.std > 0 else abs(estimate.value) / 1000
-    digits = min(max(1 - math.floor(math.log10(size)), 0), 5) if size > 0 else 3
+    """Cells of a row."""
     values = (estimate.value, *estimate.ci95, estimate.initial)
-    value, low, high, initial = (f"{number:.{digits}f}".replace("-", "\N{MINUS SIGN}") for number in values)
+    value, low, high, initial = (f"{number:.{estimate.decimals}f}".replace("-", "\N{MINUS SIGN}") for number in values)
     unit = "" if estimate.unit in ("", "1") else f", {estimate.unit}"
     return f"{name}{unit}", value, f"{low} to {high}{estimate.interval_note}", initial
 

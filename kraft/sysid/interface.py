@@ -5,6 +5,7 @@ The defaults of the settings suit most logs.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal
@@ -115,6 +116,16 @@ class ParameterEstimate:
     def truncated(self) -> bool:
         """Whether the interval reaches a bound although the value is not at one: the data do not bound it there."""
         return not (self.frozen or self.at_bound) and (self.ci95[0] <= self.min or self.ci95[1] >= self.max)
+
+    @property
+    def decimals(self) -> int:
+        """Number of decimals for a table: two digits of the standard deviation, or of a quarter of the interval.
+
+        The interval is the smaller of the two where the data do not bound the parameter, and the bounds do.
+        """
+        width = self.ci95[1] - self.ci95[0]
+        size = min(self.std, width / 4 if width > 0 else math.inf) if self.std > 0 else abs(self.value) / 1000
+        return min(max(1 - math.floor(math.log10(size)), 0), 6) if size > 0 else 4
 
     @property
     def interval_note(self) -> str:

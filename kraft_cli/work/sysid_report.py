@@ -220,17 +220,11 @@ def _errors(errors: PredictionErrors) -> dict[str, Any]:
 
 
 def _row(name: str, estimate: ParameterEstimate) -> tuple[str, ...]:
-    digits = _digits(estimate)
+    digits = estimate.decimals
     low, high = (f"{value:.{digits}f}" for value in estimate.ci95)
     interval = "frozen" if estimate.frozen else f"{low} to {high}{estimate.interval_note}"
     value = f"{estimate.value:.{digits}f}"
     return name, value, interval, f"{estimate.initial:.{digits}f}", estimate.unit, estimate.description
-
-
-def _digits(estimate: ParameterEstimate) -> int:
-    """Number of decimals that gives two digits of the standard deviation."""
-    size = estimate.std if estimate.std > 0 else abs(estimate.value) / 1000
-    return min(max(1 - math.floor(math.log10(size)), 0), 6) if size > 0 else 4
 
 
 def _metres(errors: PredictionErrors) -> list[str]:

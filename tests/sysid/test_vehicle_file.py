@@ -298,6 +298,15 @@ def test_a_known_model_is_written_if_constant_motion_beats_it_only_where_the_use
     assert "constant speed and turning rate predict better" in said
 
 
+@pytest.mark.parametrize(
+    ("std", "ci95", "decimals"), [(0.012, (0.336, 0.384), 3), (1e6, (0.1, 2.0), 2), (0.0, (0.36, 0.36), 5)]
+)
+def test_a_parameter_that_the_data_do_not_bound_is_shown_with_the_digits_of_its_interval(
+    std: float, ci95: tuple[float, float], decimals: int
+) -> None:
+    assert estimated(0.36, std, ci95=ci95).decimals == decimals
+
+
 @pytest.mark.parametrize(("identified_drift", "warned", "refused"), [(0.1005, 0, 0), (0.11, 1, 0), (0.2, 1, 1)])
 def test_values_that_predict_unseen_logs_worse_than_before_are_warned_of_and_far_worse_ones_refused(
     identified_drift: float, warned: int, refused: int
