@@ -250,11 +250,16 @@ def useless_objections(identification: Identification, pair: PredictionPair) -> 
     ]
 
 
-def prediction_objections(pair: PredictionPair) -> tuple[str, ...]:
-    """The objection that the initial values predict far better, as part of a sentence, if so."""
+def prediction_objections(evaluation: PredictionEvaluation) -> tuple[str, ...]:
+    """The objection that the initial values predict far better, as part of a sentence, if so.
+
+    It is about the held-out logs, or, if there are no predictions of these, about the fitted ones.
+    """
+    pair = evaluation.held_out or evaluation.fitted
     if _ratio(pair) < EXCESSIVE_ERROR_RATIO:
         return ()
-    return (f"held-out logs are predicted far better with the initial values ({_errors(pair)})",)
+    which = "held-out logs" if evaluation.held_out else "even the fitted logs"
+    return (f"{which} are predicted far better with the initial values ({_errors(pair)})",)
 
 
 def _predicts_worse(pair: PredictionPair, noise: Noise) -> bool:
@@ -316,12 +321,12 @@ def objections(identification: Identification, evaluation: PredictionEvaluation)
     if identification.trials or identification.models:  # the model, or its terms, were chosen by what they predict
         found += useless_objections(identification, evaluation.held_out or evaluation.fitted)
     if identification.trials:  # then single parameters need not be known
-        return (*found, *(() if evaluation.held_out is None else prediction_objections(evaluation.held_out)))
+        return (*found, *prediction_objections(evaluation))
     unidentified = [name for name in identification.unidentified if name not in identification.auxiliary]
     if unidentified:
         found.append(f"the logs do not identify {', '.join(unidentified)}")
     found += [f"{a} and {b} are indistinguishable" for a, b in _pairs(identification)]
-    return (*found, *(() if evaluation.held_out is None else prediction_objections(evaluation.held_out)))
+    return (*found, *prediction_objections(evaluation))
 
 
 def _pairs(identification: Identification) -> list[tuple[str, str]]:

@@ -322,6 +322,7 @@ def test_values_that_predict_unseen_logs_worse_than_before_are_warned_of_and_far
     for said in (*prediction_warnings(unseen, noise), *found):
         assert re.search(r"\d\d\.\d\d cm identified, \d\d\.\d\d cm initial", said)
     assert objections(RESULT, replace(EVALUATION, held_out=None)) == ()
+    assert len(objections(RESULT, replace(EVALUATION, fitted=unseen, held_out=None))) == refused
 
 
 @pytest.mark.parametrize(("position", "warned"), [(0.001, 1), (0.02, 1), (0.2, 0)])
