@@ -19,6 +19,8 @@ CHORD_TURN_MAX: Final = 0.6
 """Turn up to which the yaw follows the direction of a chord, rad."""
 SPEED_MAX: Final = 30.0
 """Speed above which positions are not in metres, m/s; logs are of small vehicles."""
+SLOW_MAX: Final = 0.1
+"""Mean speed of a drive, m/s, below which its positions are rather in the next larger unit."""
 POSE_INTERVAL_MIN, POSE_INTERVAL_MAX = 1e-5, 2.0
 """Usual time between poses beyond which stamps are in another unit, or show no motion, s."""
 STEERING_MAX: Final = 1.6
@@ -168,8 +170,15 @@ def _lengths(poses: Samples, path: Chords) -> list[Diagnostic]:
     if len(path.speeds) < _CHORDS_MIN or np.median(path.speeds) < SPEED_MAX:
         return []
     x, y = poses.stream.channels[:2]
-    problem = f"{x.column!r} and {y.column!r} in {x.unit} mean a speed of {np.median(path.speeds):.3g} m/s"
-    return [poses.diagnostic(problem, f"expected metres; {in_mapping(x, 'poses.x', 'mm')}, and y too")]
+    speed = float(np.median(path.speeds))
+    problem = f"{x.column!r} and {y.column!r} in {x.unit} mean a speed of {speed:.3g} m/s"
+    speeds = {unit: speed * FACTOR[unit] / FACTOR[x.unit] for unit in ("mm", "cm")}
+    possible = [unit for unit in speeds if SLOW_MAX < speeds[unit] < SPEED_MAX] or ["mm"]
+    expected = f"expected metres; {in_mapping(x, 'poses.x', possible[0])}, and y too"
+    if len(possible) > 1:
+        each = " and ".join(f"{speeds[unit]:.2g} m/s in {unit}" for unit in possible)
+        expected += f", or {possible[1]}: the speed would be {each}"
+    return [poses.diagnostic(problem, expected)]
 
 
 def _yaw(poses: Samples, path: Chords, yaw: Array) -> list[tuple[Diagnostic, Channel]]:
@@ -227,7 +236,7 @@ def _heading(poses: Samples, path: Chords, yaw: Array, findings: Findings) -> No
     if aside:
         why = f"they are a right angle apart{_right_angle(poses, path, yaw)}"
     elif mirrored:
-        why = "it follows when its sign is changed (scale: -1 in a mapping file)"
+        why = f"it follows when its sign is changed{_other_sign(poses)}"
     findings.add("heading", 1, f"{poses.stream.table.name}: yaw does not follow the direction of motion; {why}")
 
 
@@ -240,9 +249,16 @@ def _right_angle(poses: Samples, path: Chords, yaw: Array) -> str:
     return f" (if the vehicle drives mostly forward, {_turned(turn[0], 1.0, math.copysign(math.pi / 2, left))})"
 
 
+def _other_sign(poses: Samples) -> str:
+    """How to change the sign of a yaw; empty for a quaternion."""
+    _x, _y, *turn = poses.stream.channels
+    return f" ({_turned(turn[0], -1.0, 0.0)})" if len(turn) == 1 else ""
+
+
 def _turned(channel: Channel, sign: float, offset: float) -> str:
     """The line of a mapping file for the yaw `sign` times that of a channel plus `offset` (rad)."""
     zero = channel.zero - sign * offset / (channel.scale * FACTOR[channel.unit])
     scale = sign * channel.scale
     factor = "" if scale == 1.0 else f", scale: {scale:g}"
-    return f"poses.yaw: {{column: {channel.column!r}, unit: {channel.unit}, zero: {zero:.6g}{factor}}}"
+    shift = "" if zero == 0.0 else f", zero: {zero:.6g}"
+    return f"poses.yaw: {{column: {channel.column!r}, unit: {channel.unit}{shift}{factor}}}"

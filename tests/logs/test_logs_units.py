@@ -21,6 +21,8 @@ from kraft.logs.reader import read_logs
         ({"yaw": np.rad2deg(np.unwrap(WIDE["yaw"]))}, "poses.yaw: {column: 'yaw', unit: deg}"),
         ({"steering": np.rad2deg(WIDE["steering"])}, "commands.controls.steering: {column: 'steering', unit: deg}"),
         ({"x": WIDE["x"] * 1e3, "y": WIDE["y"] * 1e3}, "poses.x: {column: 'x', unit: mm}"),
+        ({"x": WIDE["x"] * 50, "y": WIDE["y"] * 50}, "poses.x: {column: 'x', unit: cm}"),
+        ({"x": WIDE["x"] * 200, "y": WIDE["y"] * 200}, "or cm: the speed would be 0.16 m/s in mm and 1.6 m/s in cm"),
         ({"t": TIMES * 1e3}, "poses.time: {column: 't', unit: ms}"),
         ({"throttle": 1500 + 300 * np.sin(TIMES)}, "commands.controls.throttle: {column: 'throttle', zero: 1500, scale: 0.002}"),
     ],
@@ -81,7 +83,8 @@ def test_degrees_on_a_straight_line_are_told_by_the_other_logs(tmp_path: Path) -
 
 
 def test_a_yaw_that_turns_the_other_way_is_said(tmp_path: Path) -> None:
-    assert "it follows when its sign is changed (scale: -1" in finding(read(tmp_path, yaw=-WIDE["yaw"]), "heading").text
+    text = finding(read(tmp_path, yaw=-WIDE["yaw"]), "heading").text
+    assert "(poses.yaw: {column: 'yaw', unit: rad, scale: -1})" in text
 
 
 def test_swapped_x_and_y_are_refused_with_what_to_write(tmp_path: Path) -> None:
