@@ -66,6 +66,7 @@ class ColumnMatcher:
             return ColumnMatch(None, missing=role)
         best = max(scores.values())
         names = [name for name, fit in scores.items() if fit == best]
+        names += [other for name in names for other in self.table.namesakes(name) if other not in names]
         if len(names) > 1:
             both = ", ".join(repr(name) for name in names)
             return ColumnMatch(

@@ -55,6 +55,16 @@ class Table:
         """Name for messages: the topic, or the name of the file."""
         return self.topic or self.file.replace("\\", "/").rsplit("/", 1)[-1]
 
+    def namesakes(self, name: str) -> list[str]:
+        """Later columns with the same name in the heading and other numbers."""
+        later = (f"{name} ({k})" for k in range(2, len(self.columns) + 1))
+        numbers = self.columns[name]
+        return [
+            other
+            for other in later
+            if other in self.columns and not np.array_equal(numbers, self.columns[other], equal_nan=True)
+        ]
+
     def where(self, index: int) -> str:
         """Row as text: ``line 12 of a.csv``, ``message 3 of /odom``."""
         return f"{'message' if self.topic else 'line'} {self.rows[index]} of {self.name}"

@@ -418,3 +418,14 @@ def test_a_comment_with_as_many_fields_as_the_heading_is_a_comment(tmp_path: Pat
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines[:50], "# lap 2, run 3, ok, a, b, c", *lines[50:]]) + "\n")
     assert {finding.kind for finding in read_one(path).findings} <= {"wrap"}
+
+
+@pytest.mark.parametrize("shift", [0.0, 5.0])
+def test_two_columns_of_one_name_are_a_question_unless_their_numbers_are_the_same(tmp_path: Path, shift: float) -> None:
+    columns = [MADE.pose_times, *MADE.poses.T, MADE.poses[:, 0] + shift]
+    write_pair(tmp_path / "run", MADE)
+    write_table(tmp_path / "run" / "poses.csv", ["t", "x", "y", "yaw", "x"], columns)
+    if shift:
+        assert problems_of(tmp_path / "run") == ["run/poses.csv conflict"]
+    else:
+        same_drive(read_one(tmp_path / "run"), MADE)
