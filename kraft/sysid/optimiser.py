@@ -57,9 +57,6 @@ RIDGE = 1e-6
 drives that only go forward do not tell a dead zone from friction, and predictions do not depend on which it is."""
 
 
-"""Called with the number of iterations and the cost."""
-
-
 class LinearisedGraph(Protocol):
     """Interface of the two forms of the factor graph."""
 

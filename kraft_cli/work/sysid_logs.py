@@ -19,8 +19,6 @@ from kraft.text import MessageSink
 from kraft.vehicles import CAR_CONTROLS
 from kraft_cli.work.recorded_controls import recorded_with_other_controls
 
-"""Receives one message."""
-
 Limits = abc.Mapping[str, tuple[float, float]]
 """Least and largest command by the name of the control."""
 MANY: Final = 3
