@@ -22,17 +22,6 @@ REFERENCE: Final = "kraft"
 """The method that the others are compared with."""
 MANY: Final = 8
 """Largest number of entries of which each has a table of its own in a terminal, and an open section in the report."""
-WALL_CLOCK: Final = (
-    "wall_s",
-    "first_plan_ms_p50",
-    "planning_ms_p50",
-    "planning_ms_p99",
-    "missed_deadlines",
-    "command_ms_p50",
-    "command_ms_p99",
-    "late_commands",
-)
-"""Keys of the JSON object with measured times; all others repeat."""
 
 
 @dataclass(frozen=True)

@@ -67,16 +67,6 @@ class Collection:
     imported: tuple[Imported, ...]
 
 
-def import_worlds(request: Request, log: MessageSink = no_messages) -> Collection:
-    """Read the sources and write a scenario for each of their worlds, and a suite; all or nothing.
-
-    Raises:
-        InputError: with every problem of the arguments and of all sources.
-        Unreachable: with every goal that no path leads to.
-    """
-    return write_imported(request, read_sources(request), log)
-
-
 def read_sources(request: Request) -> list[Imported]:
     """Read the sources and write nothing.
 

@@ -17,7 +17,7 @@ from kraft.errors import Code, InputError, Unreachable
 from kraft.evaluation.suite import load_suite
 from kraft.scenario import Box, Circle, Polygon, Task, load_scenario
 from kraft.worlds.dynobench import OTHERS
-from kraft.worlds.imports import Request, import_worlds
+from kraft.worlds.imports import Collection, Request, read_sources, write_imported
 from kraft_cli.main import main
 from ompl_ext.vehicle import Vehicle
 
@@ -36,6 +36,10 @@ GROUND = model("ground", "<plane><normal>0 0.0 1.00</normal><size>9 9</size></pl
 
 def sdf(*models: str, state: str = "") -> str:
     return f"<sdf version='1.6'>\n<world name='default'>\n{GROUND}{''.join(models)}{state}</world></sdf>\n"
+
+
+def import_worlds(request: Request) -> Collection:
+    return write_imported(request, read_sources(request))
 
 
 def imported(tmp_path: Path, text: str, kind: str = "barn", name: str = "world_7.world", **settings: object) -> Path:
