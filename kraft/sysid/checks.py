@@ -260,7 +260,7 @@ def _unbounded(solution: SolvedProblem) -> Iterator[str]:
 
 
 def _correlation(solution: SolvedProblem) -> Iterator[str]:
-    reported, stated = correlations(solution.uncertainty.covariance), correlations(solution.uncertainty.graph)
+    reported, stated = lasting_correlations(solution.uncertainty), correlations(solution.uncertainty.graph)
     names = solution.names
     for i, j in zip(*np.nonzero(np.tri(len(names), k=-1)), strict=True):
         # either correlation counts; the reported one has precedence
@@ -272,6 +272,22 @@ def _correlation(solution: SolvedProblem) -> Iterator[str]:
                 f"{' under the stated noise' if by_noise else ''}): drive "
                 f"{informative_manoeuvres(solution.problem.parameters, names[j], names[i])}, or freeze one of them"
             )
+
+
+def lasting_correlations(uncertainty: ParameterUncertainty) -> Floats:
+    """(free, free) reported correlations, of those between logs the smallest in magnitude without any one log.
+
+    One log that differs from the others, such as one of another car, moves all parameters together.
+    """
+    found = correlations(uncertainty.covariance)
+    if uncertainty.kind == "graph":
+        return found
+    for k in range(len(uncertainty.shifts)):
+        others = np.delete(uncertainty.shifts, k, axis=0)
+        with np.errstate(invalid="ignore"):  # not a number, and so not smaller, where the others agree to the last bit
+            without = correlations(np.cov(others, rowvar=False, ddof=0).reshape(found.shape))
+            found = np.where(np.abs(without) < np.abs(found), without, found)
+    return found
 
 
 def _residuals(solution: SolvedProblem) -> Iterator[str]:
