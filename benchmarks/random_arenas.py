@@ -13,7 +13,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from kraft.driving.method import PlannerSettings
+from kraft.driving.planner_settings import PlannerSettings
 from kraft.driving.solvers import Solvers
 from kraft.errors import InputError
 from kraft.planning.workspace import start_state

@@ -23,7 +23,7 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Kinodynamic, OpenLoop
 from kraft.driving.messages import Cycle, Estimate, Reference, ReferenceKind
-from kraft.driving.method import Clearance, PlannerSettings
+from kraft.driving.planner_settings import Clearance, PlannerSettings
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
 from kraft.planning.compilation import ensure_compiled

@@ -14,7 +14,7 @@ from typing import Any
 
 import kraft
 from kraft.config import bundled
-from kraft.driving.method import Clearance
+from kraft.driving.planner_settings import Clearance
 from kraft.evaluation import markdown
 
 MODELS = ("mushr", "mushr-drive")

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from kraft.driving.messages import PredictedMotion, Uncertainty
-from kraft.driving.method import CalibratedBound
+from kraft.driving.planner_settings import CalibratedBound
 from ompl_ext.arrays import Floats
 from ompl_ext.interpolation import interpolated_rows
 from ompl_ext.poses import displacement

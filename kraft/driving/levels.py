@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from kraft.driving.bound import LATER_DELAY, DeviationBound
-from kraft.driving.method import CalibratedBound, PlannerSettings
+from kraft.driving.planner_settings import CalibratedBound, PlannerSettings
 from kraft.driving.solvers import Solvers
 from ompl_ext.solver import DirtSolver
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from kraft.driving.control import contingency_law, settings_for
 from kraft.driving.control_settings import Dwa, Lqr, Mppi, Nmpc, Predictive, UserCode
-from kraft.driving.method import Adaptive, Method
+from kraft.driving.estimator_settings import Adaptive
+from kraft.driving.method import Method
 from kraft.planning.compilation import Needs
 from kraft.scenario import Goal
 from ompl_ext.vehicle import Vehicle

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from kraft.driving.messages import Commitment, Estimate, Reference, ReferenceKind
-from kraft.driving.method import PlannerSettings
+from kraft.driving.planner_settings import PlannerSettings
 from kraft.driving.references import manoeuvre_reference
 from kraft.driving.vehicle_model import VehicleModel, braking_control
 from ompl_ext.arrays import Floats

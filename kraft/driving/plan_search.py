@@ -9,7 +9,7 @@ from typing import Final
 
 from kraft.driving.command_loss import CommandLoss
 from kraft.driving.messages import PlanLoss
-from kraft.driving.method import PlannerSettings
+from kraft.driving.planner_settings import PlannerSettings
 from kraft.driving.prediction import least_slack
 from kraft.driving.proposal import Proposal
 from kraft.driving.remainder import Remainder, has_remainder, retain, retained_plan, start_with_best_corrections

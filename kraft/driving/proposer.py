@@ -16,8 +16,8 @@ from kraft.driving.command_loss import CommandLoss
 from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.level_search import LevelSearch
 from kraft.driving.messages import PlanLoss
-from kraft.driving.method import PlannerSettings
 from kraft.driving.plan_search import PlanQuery, PlanSearch
+from kraft.driving.planner_settings import PlannerSettings
 from kraft.driving.prediction import least_slack
 from kraft.driving.proposal import Proposal
 from kraft.driving.remainder import RETAINED_TOLERANCE, Remainder

@@ -26,8 +26,8 @@ from kraft.driving.messages import (  # fmt: skip
     ReferenceKind,
     Uncertainty,
 )
-from kraft.driving.method import PlannerSettings
 from kraft.driving.plan_search import PlanSearch
+from kraft.driving.planner_settings import PlannerSettings
 from kraft.driving.prediction import ClosedLoopPredictor, least_slack, required_clearance
 from kraft.driving.proposal import Proposal
 from kraft.driving.proposer import RECOVERY_MARGIN, Proposer

@@ -10,8 +10,8 @@ import numpy as np
 from kraft.driving.contingencies import ContingencyRanking, TrackedContingency, emergency_reference
 from kraft.driving.contingency_candidates import Begin
 from kraft.driving.messages import Commitment, ContingencyOrigin, PredictedMotion, Reference, ReferenceKind
-from kraft.driving.method import PlannerSettings
 from kraft.driving.plan_search import PlanSearch
+from kraft.driving.planner_settings import PlannerSettings
 from kraft.driving.prediction import ClosedLoopPredictor, least_slack, required_clearance
 from kraft.driving.proposal import Proposal
 from kraft.driving.references import at_rest, contingency_reference, plan_reference, standing_reference

@@ -9,7 +9,7 @@ import math
 import time as clock
 from typing import Final
 
-from kraft.driving.method import PlannerSettings
+from kraft.driving.planner_settings import PlannerSettings
 from kraft.driving.remainder import RETAINED_TOLERANCE
 from ompl_ext.query_tree import Progress
 from ompl_ext.solver import DirtSolver

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from kraft.driving.bound import DeviationBound
-from kraft.driving.method import PlannerSettings
+from kraft.driving.planner_settings import PlannerSettings
 from kraft.planning.workspace import goal_of, settings_of, workspace_of
 from kraft.scenario import Task
 from ompl_ext.arrays import Floats

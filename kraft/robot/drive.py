@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from kraft.driving.control import needs_map
+from kraft.driving.estimator_settings import Oracle
 from kraft.driving.messages import Cycle, ReferenceKind
-from kraft.driving.method import Method, Oracle
+from kraft.driving.method import Method
 from kraft.errors import Code, Diagnostic, InputError, UserCodeError
 from kraft.files import LineFile
 from kraft.robot.connect import check_transport

@@ -16,8 +16,8 @@ from kraft.driving.control import make_controller
 from kraft.driving.control_settings import UserCode
 from kraft.driving.estimation import make_estimator
 from kraft.driving.estimation.adaptive import AdaptiveEstimator
+from kraft.driving.estimator_settings import Oracle
 from kraft.driving.messages import Commitment, Estimate, ReferenceKind
-from kraft.driving.method import Oracle
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
 from kraft.planning.feasibility import geodesic_time, goal_hit

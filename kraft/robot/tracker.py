@@ -15,8 +15,8 @@ from kraft.driving.control import make_controller
 from kraft.driving.control_settings import UserCode
 from kraft.driving.estimation import make_estimator
 from kraft.driving.estimation.adaptive import AdaptiveEstimator, Learned
+from kraft.driving.estimator_settings import Oracle
 from kraft.driving.messages import Commitment, Estimate, Observation, Reference, ReferenceKind
-from kraft.driving.method import Oracle
 from kraft.driving.on_board import OnBoard
 from kraft.driving.references import at_rest, standing_reference
 from kraft.robot.command import CommandCodec

@@ -17,8 +17,8 @@ from kraft.driving.car_model import model_of
 from kraft.driving.control import make_controller
 from kraft.driving.control_settings import OpenLoop
 from kraft.driving.estimation import Estimator, make_estimator
+from kraft.driving.estimator_settings import Oracle
 from kraft.driving.messages import Commitment, Cycle, Observation
-from kraft.driving.method import Oracle
 from kraft.driving.on_board import OnBoard
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers

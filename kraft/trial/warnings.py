@@ -9,7 +9,8 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from kraft.driving.method import Adaptive, Method
+from kraft.driving.estimator_settings import Adaptive
+from kraft.driving.method import Method
 from kraft.planning.feasibility import nearest_obstacle
 from kraft.planning.free_place import free_place
 from kraft.planning.workspace import workspace_of

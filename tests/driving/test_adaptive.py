@@ -19,8 +19,8 @@ from kraft.driving.estimation.adaptive import AdaptiveEstimator, online_paramete
 from kraft.driving.estimation.correlated_filter import MOVED_AFTER
 from kraft.driving.estimation.pose_filter import ProcessModel
 from kraft.driving.estimation.sliding_window import SIGNIFICANT
+from kraft.driving.estimator_settings import Adaptive
 from kraft.driving.messages import Estimate, Observation, PoseBelief
-from kraft.driving.method import Adaptive
 from kraft.errors import Code, InputError
 from kraft.vehicles.benchmark import BENCHMARK
 from ompl_ext.arrays import Floats, Matrix

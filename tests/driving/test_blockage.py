@@ -10,7 +10,7 @@ from support.replanner import mushr, planner_settings, replanner, start, turns
 
 from kraft.driving.blockage import GAP, Blockage
 from kraft.driving.messages import Commitment, Cycle, Estimate, Reference, ReferenceKind
-from kraft.driving.method import Clearance
+from kraft.driving.planner_settings import Clearance
 from kraft.driving.replanner import FORGET, Replanner
 from kraft.driving.solvers import Solvers
 from kraft.vehicles.load import load_vehicle

@@ -14,7 +14,7 @@ from kraft.driving.bound import UNCORRECTED, BoundCalibration, DeviationBound, r
 from kraft.driving.car_model import model_of
 from kraft.driving.levels import HYSTERESIS, STEADY
 from kraft.driving.messages import Commitment, Estimate, PredictedMotion, ReferenceKind, Uncertainty
-from kraft.driving.method import CalibratedBound
+from kraft.driving.planner_settings import CalibratedBound
 from kraft.driving.proposal import Proposal
 from kraft.driving.proposer import Proposer
 from kraft.driving.references import standing_reference

@@ -9,8 +9,8 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.estimation import CameraModel
 from kraft.driving.estimation.adaptive import AdaptiveEstimator
 from kraft.driving.estimation.camera_model import LEAST_ACROSS, SINGLE_TAG
+from kraft.driving.estimator_settings import Adaptive
 from kraft.driving.messages import Observation
-from kraft.driving.method import Adaptive
 from kraft.scenario import Scenario, Sensing, load_scenario
 from kraft.simulation.camera import MarkerCamera
 from kraft.trial.plant import camera_model

@@ -13,8 +13,8 @@ from support.replanner import drive, replanner, start, turns
 from kraft.driving.car_model import model_of
 from kraft.driving.command_loss import SHARES, CommandLoss
 from kraft.driving.messages import Estimate, PredictedMotion, ReferenceKind
-from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.plan_search import PlanSearch
+from kraft.driving.planner_settings import Clearance, PlannerSettings
 from kraft.driving.proposer import Proposer
 from kraft.driving.solvers import Solvers
 from kraft.driving.vehicle_model import braking_control

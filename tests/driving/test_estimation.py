@@ -13,8 +13,8 @@ from support.driving import RATE, car, slow_car
 from kraft.driving.car_model import CarModel
 from kraft.driving.estimation import Estimator, make_estimator
 from kraft.driving.estimation.pose_filter import PoseFilter
+from kraft.driving.estimator_settings import Filter, Latest
 from kraft.driving.messages import Observation
-from kraft.driving.method import Filter, Latest
 from kraft.errors import Code, InputError
 from kraft.scenario import Sensing
 from kraft.simulation.camera import MarkerCamera

@@ -13,7 +13,7 @@ from support.replanner import mushr, proposals, proposer, share_kept, start, tur
 from kraft.driving.bound import LATER_DELAY, LATER_GROWTH, DeviationBound
 from kraft.driving.level_search import DETOUR, LEAST_GAIN, LEVEL_GAIN, RISE, STALLED
 from kraft.driving.levels import INSISTENCE, PAUSE, PROGRESS, PROGRESS_TIME, STEADY, Levels
-from kraft.driving.method import CalibratedBound, PlannerSettings
+from kraft.driving.planner_settings import CalibratedBound, PlannerSettings
 from kraft.driving.proposal import Proposal
 from kraft.driving.proposer import Proposer
 from kraft.driving.remainder import RETAINED_TOLERANCE

@@ -21,7 +21,7 @@ from kraft.driving.levels import (
     levels_of,
 )
 from kraft.driving.messages import Estimate, ReferenceKind, Uncertainty
-from kraft.driving.method import CalibratedBound, Clearance, PlannerSettings
+from kraft.driving.planner_settings import CalibratedBound, Clearance, PlannerSettings
 from kraft.driving.solvers import Solvers
 
 FORESIGHT, MARGIN = 60.0, 0.03

@@ -13,7 +13,8 @@ from support.paths import ROOT
 
 from kraft.config import bundled
 from kraft.driving.control_settings import Kinodynamic, Mppi
-from kraft.driving.method import Latest, Method, load_method
+from kraft.driving.estimator_settings import Latest
+from kraft.driving.method import Method, load_method
 from kraft.errors import Code, InputError
 from kraft.evaluation import evaluate
 from kraft.scenario import load_scenario

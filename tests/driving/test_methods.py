@@ -10,7 +10,9 @@ import pytest
 
 from kraft.config import bundled
 from kraft.driving.control_settings import Kinodynamic
-from kraft.driving.method import ITERATIONS_MAX, Clearance, Filter, Latest, load_method
+from kraft.driving.estimator_settings import Filter, Latest
+from kraft.driving.method import load_method
+from kraft.driving.planner_settings import ITERATIONS_MAX, Clearance
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.trial.result import TrialSpec
 from kraft_cli.work.validate import check_file

@@ -22,7 +22,7 @@ from kraft.driving.control.nmpc_problem import symbolic_derivative_of
 from kraft.driving.control_settings import Kinodynamic, Nmpc
 from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
-from kraft.driving.method import PlannerSettings
+from kraft.driving.planner_settings import PlannerSettings
 from kraft.driving.references import contingency_reference, plan_reference
 from kraft.driving.solvers import Solvers
 from kraft.errors import Code, MissingDependency

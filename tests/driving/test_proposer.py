@@ -11,7 +11,7 @@ import pytest
 from support.replanner import BESIDE_THE_WALL, FARSIGHTED, drive, mushr, proposer, replanner, start, turns
 
 from kraft.driving.messages import ReferenceKind, Uncertainty
-from kraft.driving.method import CalibratedBound, Clearance
+from kraft.driving.planner_settings import CalibratedBound, Clearance
 from kraft.driving.proposer import RECOVERY_MARGIN
 from kraft.planning.workspace import workspace_of
 from ompl_ext.exact import ExactClearance

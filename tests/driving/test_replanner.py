@@ -14,7 +14,7 @@ from kraft.driving.contingencies import emergency_reference
 from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Geometric
 from kraft.driving.messages import Commitment, ContingencyOrigin, Cycle, Estimate, ReferenceKind
-from kraft.driving.method import Clearance, PlannerSettings
+from kraft.driving.planner_settings import Clearance, PlannerSettings
 from kraft.driving.prediction import ClosedLoopPredictor
 from kraft.driving.replanner import Replanner
 from kraft.driving.room import NEARBY, free_by

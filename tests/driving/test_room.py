@@ -9,7 +9,7 @@ import pytest
 from support.replanner import mushr, planner_settings, replanner, start, turns
 
 from kraft.driving.messages import ContingencyOrigin, Estimate
-from kraft.driving.method import CalibratedBound
+from kraft.driving.planner_settings import CalibratedBound
 from kraft.driving.proposal import Proposal
 from kraft.driving.replanner import Replanner
 from kraft.driving.room import NEARBY, NEARER, ROOM, can_go_back, free_by, place_with_room, refusal

@@ -20,8 +20,9 @@ from kraft.driving.control.sampling import DwaController, MppiController, Rollou
 from kraft.driving.control_settings import Dwa, Kinodynamic, Mppi, Nmpc
 from kraft.driving.geodesic import geodesic_plan
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
-from kraft.driving.method import Clearance, PlannerSettings, load_method
+from kraft.driving.method import load_method
 from kraft.driving.plan_search import PlanSearch
+from kraft.driving.planner_settings import Clearance, PlannerSettings
 from kraft.driving.proposer import Proposer
 from kraft.driving.references import contingency_reference, plan_reference
 from kraft.driving.replanner import Replanner

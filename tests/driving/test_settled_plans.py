@@ -13,7 +13,7 @@ import pytest
 from support.replanner import FARSIGHTED, drive, mushr, proposer, replanner, start
 
 from kraft.driving.messages import PlanLoss
-from kraft.driving.method import PlannerSettings
+from kraft.driving.planner_settings import PlannerSettings
 from kraft.driving.proposal import Proposal
 from kraft.driving.proposer import Proposer
 from kraft.driving.remainder import Remainder, retain, start_with_best_corrections

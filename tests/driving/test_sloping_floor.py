@@ -16,7 +16,7 @@ from kraft.driving.estimation.adaptive import HOLDS, AdaptiveEstimator, Learned,
 from kraft.driving.estimation.drive_history import RecordedDrive
 from kraft.driving.estimation.sliding_window import Identified
 from kraft.driving.estimation.sloping_floor import SLOPE, ConstantOfDrive, slope_deviations, slope_told
-from kraft.driving.method import Adaptive
+from kraft.driving.estimator_settings import Adaptive
 from kraft.scenario import Sensing
 from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.scenario.truth import Tilt

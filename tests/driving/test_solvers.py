@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.replanner import FARSIGHTED, MARGIN, mushr, replanner, start, turns
 
-from kraft.driving.method import Clearance, PlannerSettings
+from kraft.driving.planner_settings import Clearance, PlannerSettings
 from kraft.driving.solvers import MIN_GOAL_RADIUS, Solvers, aimed_for, goal_region
 from kraft.planning.workspace import goal_of
 from kraft.scenario import load_scenario

@@ -14,8 +14,8 @@ from kraft.driving.contingencies import emergency_reference
 from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Kinodynamic
 from kraft.driving.messages import Commitment, Estimate, Reference, ReferenceKind
-from kraft.driving.method import PlannerSettings
 from kraft.driving.on_board import OnBoard
+from kraft.driving.planner_settings import PlannerSettings
 from kraft.driving.references import holding_control, manoeuvre_reference, plan_reference
 from kraft.driving.replanner import Replanner
 from kraft.driving.vehicle_model import stop_control, stop_controls

@@ -18,7 +18,8 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.control import UserController, check_available, make_controller, needs_map, set_map
 from kraft.driving.control_settings import Kinodynamic, UserCode
 from kraft.driving.messages import Estimate, Reference, ReferenceKind
-from kraft.driving.method import Method, PlannerSettings, load_method
+from kraft.driving.method import Method, load_method
+from kraft.driving.planner_settings import PlannerSettings
 from kraft.driving.solvers import Solvers
 from kraft.errors import Code, UserCodeError
 from kraft.evaluation import evaluator

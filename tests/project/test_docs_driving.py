@@ -29,6 +29,7 @@ from kraft.driving.estimation.correlated_filter import MOVED_AFTER
 from kraft.driving.estimation.drive_history import DRIVE_MAX, SEEN, SEEN_DEVIATIONS, SEEN_WAY
 from kraft.driving.estimation.pose_noise import LAG, PRIOR_CORRELATION, PRIOR_SAMPLES
 from kraft.driving.estimation.sliding_window import NOTICED, SIGNIFICANT
+from kraft.driving.estimator_settings import Adaptive, Filter
 from kraft.driving.level_search import DETOUR, LEAST_GAIN, LEVEL_GAIN, PROBES_HIGHER, RISE, STALLED
 from kraft.driving.levels import (
     HYSTERESIS,
@@ -41,8 +42,9 @@ from kraft.driving.levels import (
     SOON,
     STEADY,
 )
-from kraft.driving.method import Adaptive, CalibratedBound, Clearance, Filter, Method, PlannerSettings, load_method
+from kraft.driving.method import Method, load_method
 from kraft.driving.plan_search import CORRECTION_ATTEMPTS
+from kraft.driving.planner_settings import CalibratedBound, Clearance, PlannerSettings
 from kraft.driving.remainder import ATTEMPT_TOLERANCE, RETAINED_TOLERANCE
 from kraft.driving.room import NEARBY, NEARER, ROOM
 from kraft.driving.search_budget import PATIENCE

@@ -12,8 +12,8 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.estimation.adaptive import online_parameters
 from kraft.driving.estimation.drive_history import RecordedDrive
 from kraft.driving.estimation.sliding_window import SlidingWindow
+from kraft.driving.estimator_settings import Adaptive
 from kraft.driving.messages import Observation
-from kraft.driving.method import Adaptive
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.vehicle import Vehicle

@@ -13,8 +13,8 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.control import make_controller
 from kraft.driving.control_settings import Kinodynamic, OpenLoop
 from kraft.driving.messages import Cycle, Estimate, Uncertainty
-from kraft.driving.method import Clearance, PlannerSettings
 from kraft.driving.plan_search import PlanSearch
+from kraft.driving.planner_settings import Clearance, PlannerSettings
 from kraft.driving.proposal import Proposal
 from kraft.driving.proposer import Proposer
 from kraft.driving.replanner import Replanner

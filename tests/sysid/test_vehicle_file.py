@@ -14,7 +14,7 @@ from support.sysid import estimated, fake_evaluation, fake_identification, fake_
 from kraft.config import bundled
 from kraft.driving.estimation.adaptive import online_parameters
 from kraft.driving.estimation.dead_reckoning import with_identified_drift
-from kraft.driving.method import Adaptive
+from kraft.driving.estimator_settings import Adaptive
 from kraft.errors import Code, InputError
 from kraft.logs.log import Log
 from kraft.sysid.acceptance import (

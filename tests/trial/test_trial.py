@@ -13,7 +13,8 @@ import pytest
 
 from kraft.driving.estimation.adaptive import AdaptiveEstimator
 from kraft.driving.messages import Cycle, ReferenceKind, as_driven
-from kraft.driving.method import PlannerSettings, load_method
+from kraft.driving.method import load_method
+from kraft.driving.planner_settings import PlannerSettings
 from kraft.scenario import load_scenario
 from kraft.simulation.world import World
 from kraft.trial.cause import CauseKind

@@ -7,8 +7,8 @@ from typing import Protocol
 from kraft.driving.estimation.camera_model import CameraModel
 from kraft.driving.estimation.dead_reckoning import LatestPose
 from kraft.driving.estimation.pose_filter import PoseFilter
+from kraft.driving.estimator_settings import Adaptive, Filter, Latest
 from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
-from kraft.driving.method import Adaptive, Filter, Latest
 from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats
 

@@ -29,8 +29,9 @@ from kraft.driving.estimation.sloping_floor import (
     slope_specs,
     slope_told,
 )
+from kraft.driving.estimator_settings import Adaptive
 from kraft.driving.messages import Estimate, Observation, PoseBelief, Uncertainty
-from kraft.driving.method import Adaptive, unstated_ranges
+from kraft.driving.method import unstated_ranges
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import InputError
 from kraft.sysid.parameters import Parameters, ParameterSpec

@@ -12,8 +12,8 @@ from kraft.driving.estimation.camera_model import CameraModel
 from kraft.driving.estimation.pose_filter import PoseFilter, Posterior, Prior, ProcessModel
 from kraft.driving.estimation.pose_noise import NoiseEstimate
 from kraft.driving.estimation.sloping_floor import possible, slope_deviations
+from kraft.driving.estimator_settings import Adaptive
 from kraft.driving.messages import Observation
-from kraft.driving.method import Adaptive
 from kraft.driving.vehicle_model import VehicleModel
 from ompl_ext.arrays import Floats, Ints, Matrix
 from ompl_ext.kernels.pose_fusion import FLOOR_SIZE, Sensor

@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
+from kraft.driving.estimator_settings import Adaptive, Latest
 from kraft.driving.messages import Estimate, Observation
-from kraft.driving.method import Adaptive, Latest
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import InputError
 from kraft.vehicles import DELAY_MAX

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 
 from kraft.driving.estimation.dead_reckoning import DeadReckoning, Held, require_finite
+from kraft.driving.estimator_settings import Adaptive, Filter
 from kraft.driving.messages import Estimate, Observation, PoseBelief
-from kraft.driving.method import Adaptive, Filter
 from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Defect
 from ompl_ext.arrays import Floats, Matrix

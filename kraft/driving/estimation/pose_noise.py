@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from kraft.driving.estimation.sliding_window import Identified
-from kraft.driving.method import Adaptive
+from kraft.driving.estimator_settings import Adaptive
 from kraft.sysid.interface import Noise
 from ompl_ext.arrays import Floats
 
