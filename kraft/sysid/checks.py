@@ -260,11 +260,12 @@ def _unbounded(solution: SolvedProblem) -> Iterator[str]:
 
 
 def _correlation(solution: SolvedProblem) -> Iterator[str]:
-    reported, stated = lasting_correlations(solution.uncertainty), correlations(solution.uncertainty.graph)
+    reported, stated = correlations(solution.uncertainty.covariance), correlations(solution.uncertainty.graph)
+    lasting = lasting_correlations(solution.uncertainty)
     names = solution.names
     for i, j in zip(*np.nonzero(np.tri(len(names), k=-1)), strict=True):
         # either correlation counts; the reported one has precedence
-        by_noise = abs(reported[i, j]) <= CORRELATION_HIGH
+        by_noise = abs(lasting[i, j]) <= CORRELATION_HIGH
         found = stated[i, j] if by_noise else reported[i, j]
         if abs(found) > CORRELATION_HIGH:
             yield (

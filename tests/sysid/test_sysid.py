@@ -259,7 +259,9 @@ def test_what_is_hardly_told_apart_follows_from_the_correlation_that_is_reported
         found = estimate_uncertainty(*given)
         covariance = found.covariance.copy()
         covariance[0, 3] = covariance[3, 0] = -0.96 * np.sqrt(covariance[0, 0] * covariance[3, 3])
-        return replace(found, covariance=covariance)
+        shifts = found.shifts.copy()
+        shifts[:, 3] = -shifts[:, 0]  # in all logs
+        return replace(found, covariance=covariance, shifts=shifts)
 
     monkeypatch.setattr(import_module("kraft.sysid.identify"), "estimate_uncertainty", alike)
     result = identify(lag(), logs(), PLAIN)
