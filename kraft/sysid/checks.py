@@ -42,6 +42,8 @@ STEERING_CHANGES_MIN = 5.0
 """Least sum of all changes of the steering while the vehicle moves, over its range, that shows a lag of the wheels."""
 MOVING_SHARE = 0.1
 """Share of the high speeds of a log above which the vehicle counts as moving."""
+FOREIGN_THROTTLE: Final = 10.0
+"""Largest throttle over that of the vehicle above which it is in another unit; speeds in m/s are within it."""
 _ARCS: Final = "arcs to the left and to the right, of several radii"
 _THROTTLE_STEPS: Final = "steps of the throttle up and down, from rest and back to it"
 _THROTTLE_LEVELS: Final = "several constant throttles, low ones too, for some seconds each"
@@ -220,6 +222,13 @@ def _throttle(solution: SolvedProblem) -> Iterator[str]:
         values = np.concatenate([s.part.commands[:, k] for s in solution.problem.chains.segments])
         if np.ptp(values) == 0.0:
             yield f"the throttle is always {values[0]:g}: drive {_THROTTLE_LEVELS}"
+        low, high = solution.problem.parameters.vehicle.controls["throttle"]
+        largest = float(values[np.argmax(np.abs(values))])
+        if abs(largest) > FOREIGN_THROTTLE * max(abs(low), abs(high)):
+            yield (
+                f"the throttle reaches {largest:g}, and the vehicle takes {low:g} to {high:g}: state the unit in a "
+                "mapping file, as in commands.controls.throttle: {column: ..., scale: 0.01} for per cent"
+            )
 
 
 def _negative_delay(solution: SolvedProblem) -> Iterator[str]:

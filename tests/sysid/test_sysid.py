@@ -244,6 +244,19 @@ def test_radians_taken_for_degrees_are_suspected_where_the_vehicle_turns_with_th
     assert said(identify(lag(), shrunk, PLAIN), "steering hardly changes", "were radians taken for degrees?")
 
 
+@pytest.mark.parametrize(("scale", "foreign"), [(5.0, False), (100.0, True)])
+def test_a_throttle_far_beyond_that_of_the_vehicle_is_suspected_to_be_in_another_unit(
+    scale: float, foreign: bool
+) -> None:
+    scaled = [
+        replace(log, parts=tuple(replace(p, commands=p.commands * [scale, 1.0]) for p in log.parts))
+        for log in driven(commanded([0.3, -0.2]), commanded([-0.3, 0.1]), commanded([0.15, -0.25]))
+    ]
+    result = identify(lag(), scaled, PLAIN)
+    assert said(result, "the throttle reaches 90,", "takes 0 to 1", "mapping file") == foreign
+    assert foreign or not said(result, "the throttle reaches")
+
+
 def test_one_constant_circle_asks_for_the_other_side() -> None:
     assert said(identify(lag(), driven(*[commanded([0.3, 0.1, 0.2])] * 3), PLAIN), "only steers to the left")
     result = identify(lag(), driven(*[commanded([0.3])] * 3), PLAIN)
