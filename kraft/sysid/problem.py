@@ -157,7 +157,9 @@ class NoiseModel:
 
     def distance(self, residuals: Floats, sigmas: Floats | None = None) -> Floats:
         """Mahalanobis distances (...) of pose residuals (..., 3); `sigmas` (..., 3) in place of those of the poses."""
-        distance: Floats = np.sqrt(((residuals / (self.pose_sigmas if sigmas is None else sigmas)) ** 2).sum(axis=-1))
+        with np.errstate(over="ignore"):  # infinite after a step that diverged, which the optimiser refuses
+            squares = (residuals / (self.pose_sigmas if sigmas is None else sigmas)) ** 2
+            distance: Floats = np.sqrt(squares.sum(axis=-1))
         return distance
 
     def weights(self, distance: Floats) -> Floats:
@@ -274,9 +276,10 @@ class Problem:
         `NoiseModel.distance`, and rho (np,).
         """
         variance = self.noise.process**2 * self.chains.h[:, None]
-        squares = (dynamics**2 / variance).sum()
-        squares += ((control / self.noise.control) ** 2).sum()
-        squares += (self.prior_residuals(rho) ** 2).sum()
+        with np.errstate(over="ignore"):  # as in `NoiseModel.distance`
+            squares = (dynamics**2 / variance).sum()
+            squares += ((control / self.noise.control) ** 2).sum()
+            squares += (self.prior_residuals(rho) ** 2).sum()
         return float(0.5 * squares) + float(self.noise.losses(distance).sum())
 
 

@@ -257,6 +257,14 @@ def test_a_throttle_far_beyond_that_of_the_vehicle_is_suspected_to_be_in_another
     assert foreign or not said(result, "the throttle reaches")
 
 
+def test_a_throttle_that_makes_steps_diverge_ends_with_warnings_of_the_identification_alone() -> None:
+    """Numeric overflow is an error in the tests."""
+    absurd = [
+        replace(log, parts=tuple(replace(p, commands=p.commands * [1e6, 1.0]) for p in log.parts)) for log in logs()
+    ]
+    assert said(identify(lag(), absurd, PLAIN), "the throttle reaches")
+
+
 def test_one_constant_circle_asks_for_the_other_side() -> None:
     assert said(identify(lag(), driven(*[commanded([0.3, 0.1, 0.2])] * 3), PLAIN), "only steers to the left")
     result = identify(lag(), driven(*[commanded([0.3])] * 3), PLAIN)
