@@ -33,7 +33,7 @@ from kraft.logs.held_commands import (
 )
 from kraft.logs.log import Array, Finding, Findings, Part
 from kraft.logs.mapping import Limits, Mapping
-from kraft.logs.motion import AVERAGING_TIME, OUTLIER, extent, leading_zeros, stale, top_speed, tracks
+from kraft.logs.motion import AVERAGING_TIME, OUTLIER, extent, isolated, leading_zeros, stale, top_speed, tracks
 from kraft.logs.parts import make_part, pose_gap, segments
 from kraft.logs.samples import Samples, read_samples
 from kraft.logs.streams import Choice
@@ -72,6 +72,7 @@ def clean(choice: Choice, controls: Sequence[str], mapping: Mapping) -> tuple[tu
     poses, xyyaw = _without_zeros(poses, xyyaw, limits, findings)
     _check_number(poses, "without the zeros before the first pose, there are only")
     reached = tracks(poses.times, xyyaw, _limit(poses, xyyaw, limits)) != OUTLIER
+    reached &= ~isolated(xyyaw[:, :2])  # the first pose, from which all others are reached, may be one
     streams = tuple(_sent(samples, poses.times[reached], xyyaw[reached], findings) for samples in streams)
     commands = merge_commands(streams, controls, limits)
     _check_overlap(commands, poses, choice)

@@ -91,8 +91,10 @@ def add_repeated_commands(streams: Sequence[Samples], findings: Findings) -> Non
 def add_zeros(samples: Samples, count: int, what: str, findings: Findings) -> None:
     """Add zeros at the beginning that were recorded before the first message."""
     if count:
-        text = f"the first {counted(count, what)} of {len(samples)} are 0, before there was a first one, from "
-        findings.add("zeros", count, f"{text}{samples.where(0)} on; left out")
+        text = (
+            f"the first {counted(count, what)} of {len(samples)} are 0 and stand for none, from {samples.where(0)} on"
+        )
+        findings.add("zeros", count, f"{text}; left out")
 
 
 def add_masked(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from kraft.logs.log import Array
 from kraft.logs.table import Flags, Rows
@@ -22,6 +23,12 @@ TOP_SPEED_MIN: Final = 3.0
 
 NOISE_MARGIN: Final = 10.0
 """Standard deviations of a position within which a jump is noise."""
+
+NEIGHBOURS: Final = 5
+"""Poses whose median tells a single outlier."""
+
+STEPS_MARGIN: Final = 3.0
+"""Usual steps between two poses within which a position may be away from this median."""
 
 YAW_STEP_MAX: Final = 1.2
 """Largest change of yaw between two poses, rad, besides that of `YAW_RATE_MAX`."""
@@ -63,10 +70,14 @@ class Chords:
 
 
 def chords(times: Array, positions: Array) -> Chords:
-    """Follow the positions, shape (n, 2), from one to the next that is far enough away."""
+    """Follow the positions, shape (n, 2), from one to the next that is far enough away, past single outliers."""
     least = max(CHORD_MIN, 10 * position_noise(positions))
-    knots, (x, y) = [0], positions[0]
+    single = isolated(positions)
+    start = int(np.argmin(single))
+    knots, (x, y) = [start], positions[start]
     for i, (to_x, to_y) in enumerate(positions.tolist()):  # plain numbers are faster than rows of an array
+        if single[i]:
+            continue
         if (to_x - x) ** 2 + (to_y - y) ** 2 >= least * least:
             knots.append(i)
             x, y = to_x, to_y
@@ -75,6 +86,18 @@ def chords(times: Array, positions: Array) -> Chords:
     durations = times[ends[:, 1]] - times[ends[:, 0]]
     speeds = np.hypot(step[:, 0], step[:, 1]) / durations
     return Chords(np.arctan2(step[:, 1], step[:, 0]), speeds, durations, ends)
+
+
+def isolated(positions: Array) -> Flags:
+    """Positions, shape (n, 2) in any unit, far from the median of the `NEIGHBOURS` around each, as outliers are."""
+    if len(positions) < NEIGHBOURS:
+        return np.zeros(len(positions), bool)
+    half = NEIGHBOURS // 2
+    around = sliding_window_view(np.pad(positions, ((half, half), (0, 0)), mode="reflect"), NEIGHBOURS, axis=0)
+    usual_step = float(np.median(np.hypot(*np.diff(positions, axis=0).T)))
+    far = NOISE_MARGIN * position_noise(positions) + STEPS_MARGIN * usual_step
+    flags: Flags = np.hypot(*(positions - np.median(around, axis=-1)).T) > far
+    return flags
 
 
 def agreement(found: Chords, yaw: Array) -> tuple[float, float]:

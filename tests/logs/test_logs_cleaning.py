@@ -411,3 +411,20 @@ def test_commands_that_are_recorded_more_often_than_they_are_sent_are_said(
         wide[name] = (0.3 + 0.02 * np.sin(rows))[(np.arange(len(rows)) // every) * every]
     (log,) = read_logs(write_table(tmp_path / "a.csv", list(wide), list(wide.values()))).logs
     assert len([f for f in log.findings if f.kind == "repeated"]) == found
+
+
+@pytest.mark.parametrize("first", [0, 7])
+def test_outliers_of_half_a_metre_are_left_out_and_hide_nothing(tmp_path: Path, first: int) -> None:
+    """One of twenty poses: neither the heading, nor the top speed, nor the beginning is taken for something else."""
+    rng = np.random.default_rng(3)
+    bad = np.arange(first, N, 20)
+    angle = rng.uniform(0.0, 2.0 * np.pi, len(bad))
+    x, y = WIDE["x"].copy(), WIDE["y"].copy()
+    x[bad] += 0.5 * np.cos(angle)
+    y[bad] += 0.5 * np.sin(angle)
+    log = read(tmp_path, x=x, y=y)
+    assert [f.kind for f in log.findings if f.kind in ("heading", "zeros")] == []
+    assert "more than 3 m/s" in finding(log, "outlier").text
+    kept = np.concatenate([part.poses[:, :2] for part in log.parts])
+    right = np.column_stack([WIDE["x"], WIDE["y"]])
+    assert max(np.hypot(*(right - pose).T).min() for pose in kept[1:]) < 0.01
