@@ -103,7 +103,7 @@ class DriveResult:
 
 @dataclass(frozen=True)
 class _Callbacks:
-    """Functions that are told of a drive, see `drive`."""
+    """Functions that a drive calls, see `drive`."""
 
     on_check: Callable[[Checked], None]
     on_cycle: Callable[[Cycle], None]
@@ -351,7 +351,7 @@ def _messages(here: Connection, process: BaseProcess, thread: PlannerThread, wat
             except (EOFError, ConnectionResetError):
                 process.join(JOIN_TIME)
                 return
-            watch.heard(message)
+            watch.note_message(message)
             yield message
         elif process.sentinel in ready:
             process.join(JOIN_TIME)

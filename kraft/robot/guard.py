@@ -89,7 +89,7 @@ class Guard:
         self._since: float | None = None  # the beginning of its own driving
         self._stood = 0.0
         self._connections = tracker.connections
-        self._heard = 0.0  # when the controller told something, by the monotonic clock, s
+        self._last_message = 0.0  # when the controller sent something, by the monotonic clock, s
 
     def run(self) -> None:
         """Watch until the controller releases the guard, or has ended and the vehicle stands."""
@@ -102,9 +102,9 @@ class Guard:
                 self._tracker.start(message.clocks)
             elif isinstance(message, Beat):
                 self._mirror(message)
-                due, self._heard = message.time + self._period + SILENCE, time.monotonic()
+                due, self._last_message = message.time + self._period + SILENCE, time.monotonic()
             elif isinstance(message, Halting):
-                self._heard = time.monotonic()
+                self._last_message = time.monotonic()
             elif isinstance(message, StopOrder) and (due is None or self._is_done):
                 return  # the controller has ended before the drive, or while the vehicle stood
             elif message is None and self._tracker.clock_trouble:
@@ -129,7 +129,7 @@ class Guard:
 
     def _halt(self) -> bool:
         """Command the vehicle to stand if the controller does not, while the clock stands; whether that was enough."""
-        silence = time.monotonic() - self._heard
+        silence = time.monotonic() - self._last_message
         if silence > self._period + SILENCE:
             self._tracker.publish(self._tracker.last_sent, self._tracker.halt)
         return silence > SILENCE + STANDS

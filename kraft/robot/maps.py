@@ -45,12 +45,12 @@ def run_maps(spec: DriveSpec, connection: Connection, others: Sequence[Connectio
         return
     try:
         receive_maps(spec.robot, spec.task, transport, mailbox.send)
-        told = ""
+        reported = ""
         while not mailbox.closed:
             mailbox.wait(LOOK)  # nothing but the end of the controller
-            if transport.problem != told:
-                told = transport.problem
-                mailbox.send(MapLink(told))
+            if transport.problem != reported:
+                reported = transport.problem
+                mailbox.send(MapLink(reported))
     finally:
         transport.close()
 

@@ -32,13 +32,13 @@ class OwnCodeWatch:
     ) -> None:
         self._spec, self._thread, self._process, self._on_status = spec, thread, process, on_status
         self._own = spec.method.controller if isinstance(spec.method.controller, UserCode) else None
-        self.has_begun, self._is_told, self._time, self._heard = False, False, 0.0, 0.0
+        self.has_begun, self._is_reported, self._time, self._last_message = False, False, 0.0, 0.0
         self.measures: dict[str, float] = {}
         self.killed = ""
 
     def begin(self, command_seconds: float) -> None:
         """Watch the controller too from now on; warn of commands that are too slow."""
-        self.has_begun, self._heard = True, time.monotonic()
+        self.has_begun, self._last_message = True, time.monotonic()
         if self._own is None:
             return
         self.measures = {"own_command_ms": 1000.0 * command_seconds}
@@ -51,9 +51,9 @@ class OwnCodeWatch:
                 f"{count * command_seconds:.1f} s"
             )
 
-    def heard(self, message: Any) -> None:
-        """Note that the controller has told something."""
-        self._heard = time.monotonic()
+    def note_message(self, message: Any) -> None:
+        """Note that the controller has sent a message."""
+        self._last_message = time.monotonic()
         if isinstance(message, Status):
             self._time = message.time
 
@@ -63,14 +63,14 @@ class OwnCodeWatch:
             return
         busy = self._thread.busy
         if busy < HANGS:
-            self._is_told = False
-        elif not self._is_told and (place := self._thread.place(self._own)):
-            self._is_told = True
+            self._is_reported = False
+        elif not self._is_reported and (place := self._thread.place(self._own)):
+            self._is_reported = True
             then = "; without decisions the vehicle stops with its contingency" if self.has_begun else ""
             self._note(
                 f"the planner has waited for {busy:.1f} s for commands of {self._own.code}, now at {place}{then}"
             )
-        silence = time.monotonic() - self._heard
+        silence = time.monotonic() - self._last_message
         is_silent = self.has_begun and silence > SILENT and self._spec.robot.clock is None  # which may be paused
         if is_silent and not self.killed:
             self.killed = f"a command of {self._own.code} has not returned, and the brake guard stops the vehicle"

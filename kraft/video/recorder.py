@@ -115,7 +115,7 @@ class VideoRecorder:
         """Draw the frames of the drive."""
         seconds = len(self._frames) / self._file.fps
         report(f"drawing the film of {seconds:.1f} s ...")
-        began = told = clock.monotonic()
+        began = reported = clock.monotonic()
         past: list[Snapshot] = []
         for _, equal in itertools.groupby(self._frames, key=id):
             frames = list(equal)
@@ -123,10 +123,10 @@ class VideoRecorder:
             picture = self._overlay.over(renderer.picture(frames[0]), past)
             for _ in frames:
                 self._file.add(picture)
-            if clock.monotonic() > told + REPORTED:
-                told = clock.monotonic()
+            if clock.monotonic() > reported + REPORTED:
+                reported = clock.monotonic()
                 drawn = self._file.frames / self._file.fps
-                report(f"  {drawn:.1f} of {seconds:.1f} s are drawn{_remaining(told - began, drawn / seconds)}")
+                report(f"  {drawn:.1f} of {seconds:.1f} s are drawn{_remaining(reported - began, drawn / seconds)}")
 
 
 def _remaining(elapsed: float, share: float) -> str:

@@ -384,7 +384,7 @@ class FilmWriter:
     def discard(self) -> None:
         """Close and remove what has been written; does nothing after `finish`."""
         try:
-            with suppress(OSError):  # a full disk, of which `add` has told
+            with suppress(OSError):  # a full disk, which `add` has reported
                 self._container.close()
         finally:
             self._file.discard()
