@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.driving.contingency_candidates import Begin, Candidate, ContingencyCandidates, Motion
+from kraft.driving.contingency_candidates import Begin, ContingencyCandidate, ContingencyCandidates, ModelMotion
 from kraft.driving.messages import ContingencyOrigin, PredictedMotion, Reference
 from kraft.driving.prediction import ClosedLoopPredictor
 from kraft.driving.references import manoeuvre_reference
@@ -71,7 +71,7 @@ class ContingencyRanking:
 
         Candidates are all manoeuvres, the contingency `in_hand`, and those that follow one of the `plans` first.
         """
-        here = Motion(np.array([begin.time]), np.asarray(begin.state)[None, :])
+        here = ModelMotion(np.array([begin.time]), np.asarray(begin.state)[None, :])
         (bound,) = self._rounded_slacks(begin, [here])  # all candidates begin here
         found: TrackedContingency | None = None
         for candidates in (self.candidates.immediate(begin, in_hand), self.candidates.along(begin, plans)):
@@ -81,7 +81,7 @@ class ContingencyRanking:
         return found if found.is_verified else replace(found, origin=ContingencyOrigin.EMERGENCY)
 
     def _better(
-        self, found: TrackedContingency | None, candidates: list[Candidate], begin: Begin, bound: int
+        self, found: TrackedContingency | None, candidates: list[ContingencyCandidate], begin: Begin, bound: int
     ) -> TrackedContingency | None:
         """Best of `found` and of the candidates; only those are tracked that can be better."""
         slacks = self._rounded_slacks(begin, [each.motion for each in candidates])
@@ -109,7 +109,7 @@ class ContingencyRanking:
         before = states[max(contact - 1, 0)]  # it may stand where it touches
         return TrackedContingency(reference, origin, predicted, abs(float(before[vehicle.rest_indices[0]])))
 
-    def _rounded_slacks(self, begin: Begin, motions: Sequence[Motion]) -> list[int]:
+    def _rounded_slacks(self, begin: Begin, motions: Sequence[ModelMotion]) -> list[int]:
         """Least slacks of motions in the model (in 1 / RESOLUTION m)."""
         if not motions:
             return []

@@ -40,7 +40,7 @@ class Begin(NamedTuple):
     cycle_start: float
 
 
-class Motion(NamedTuple):
+class ModelMotion(NamedTuple):
     """States (n, nx) in the model at `times` (n,) s."""
 
     times: Floats
@@ -48,10 +48,10 @@ class Motion(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ContingencyCandidate:
     """Contingency before it is tracked: motion in the model, end (s), origin, reference."""
 
-    motion: Motion
+    motion: ModelMotion
     end: float
     origin: ContingencyOrigin
     reference: Callable[[], Reference]
@@ -63,18 +63,18 @@ class ContingencyCandidates:
     def __init__(self, dirt: DirtSolver, model: VehicleModel) -> None:
         self._dirt, self._model = dirt, model
 
-    def immediate(self, begin: Begin, in_hand: Reference | None) -> Iterator[Candidate]:
+    def immediate(self, begin: Begin, in_hand: Reference | None) -> Iterator[ContingencyCandidate]:
         """All manoeuvres, and the contingency in hand."""
         state, time, _ = begin
         for number, states in enumerate(self._dirt.manoeuvres(state)):
             build, times = partial(self._manoeuvre, number, time, states), self._times(time, states)
-            yield Candidate(Motion(times, states), float(times[-1]), ContingencyOrigin.SAFE, build)
+            yield ContingencyCandidate(ModelMotion(times, states), float(times[-1]), ContingencyOrigin.SAFE, build)
         if in_hand is not None:
             left = in_hand.times >= min(time, in_hand.end)
-            motion = Motion(np.maximum(in_hand.times[left], time), in_hand.states[left])
-            yield Candidate(motion, in_hand.end, ContingencyOrigin.IN_HAND, lambda: in_hand)
+            motion = ModelMotion(np.maximum(in_hand.times[left], time), in_hand.states[left])
+            yield ContingencyCandidate(motion, in_hand.end, ContingencyOrigin.IN_HAND, lambda: in_hand)
 
-    def along(self, begin: Begin, plans: Sequence[Reference]) -> Iterator[Candidate]:
+    def along(self, begin: Begin, plans: Sequence[Reference]) -> Iterator[ContingencyCandidate]:
         """Contingencies that follow a plan first; they do not move a vehicle that stands."""
         state, time, _ = begin
         if self._dirt.safety.is_resting(self._dirt.vehicle, state):
@@ -84,14 +84,14 @@ class ContingencyCandidates:
                 during, followed = _part(plan, time, leaves)
                 for number, states in enumerate(self._dirt.manoeuvres(followed[-1])):
                     times = self._times(leaves, states)
-                    motion = Motion(np.concatenate([during, times]), np.vstack([followed, states]))
+                    motion = ModelMotion(np.concatenate([during, times]), np.vstack([followed, states]))
                     build = partial(self._after, plan, time, number, leaves, states)
-                    yield Candidate(motion, float(times[-1]), ContingencyOrigin.PLAN_THEN_STOP, build)
+                    yield ContingencyCandidate(motion, float(times[-1]), ContingencyOrigin.PLAN_THEN_STOP, build)
             creeping = self.creeping(state, time, plan)
             if creeping is not None:
                 yield creeping
 
-    def creeping(self, state: Floats, time: float, plan: Reference) -> Candidate | None:
+    def creeping(self, state: Floats, time: float, plan: Reference) -> ContingencyCandidate | None:
         """Path of a plan from `time` s on, at low speed as soon as the brakes allow, then standstill.
 
         None if the plan is over, leads nowhere from here, or goes backwards within that length.
@@ -111,12 +111,14 @@ class ContingencyCandidates:
         states[:, model.v] = speeds
         times, stop = self._times(time, states), self._dirt.manoeuvres(states[-1])[0]
         stopping = self._times(float(times[-1]), stop)
-        motion = Motion(np.concatenate([times[:-1], stopping]), np.vstack([states[:-1], stop]))
+        motion = ModelMotion(np.concatenate([times[:-1], stopping]), np.vstack([states[:-1], stop]))
         planned_at = np.interp(arc_lengths[:-1], places, planned)
-        build = partial(self._creeping_reference, plan, Motion(times, states), planned_at, stop)
-        return Candidate(motion, float(stopping[-1]), ContingencyOrigin.CREEPING, build)
+        build = partial(self._creeping_reference, plan, ModelMotion(times, states), planned_at, stop)
+        return ContingencyCandidate(motion, float(stopping[-1]), ContingencyOrigin.CREEPING, build)
 
-    def _creeping_reference(self, plan: Reference, creeping: Motion, planned_at: Floats, stop: Matrix) -> Reference:
+    def _creeping_reference(
+        self, plan: Reference, creeping: ModelMotion, planned_at: Floats, stop: Matrix
+    ) -> Reference:
         """Reference of a creeping motion and the stop (m, nx) after it; its steps follow what is planned at times (n,).
 
         Its controls take longer than the motion, and few candidates are tracked.
@@ -150,11 +152,11 @@ class ContingencyCandidates:
         return times
 
 
-def _part(plan: Reference, begin: float, end: float) -> Motion:
+def _part(plan: Reference, begin: float, end: float) -> ModelMotion:
     """Times and states of a reference between two times (s)."""
     inner = _between(plan, begin, end)
     times: Floats = np.concatenate([[begin], plan.times[inner], [end]])
-    return Motion(times, np.vstack([plan.state_at(begin), plan.states[inner], plan.state_at(end)]))
+    return ModelMotion(times, np.vstack([plan.state_at(begin), plan.states[inner], plan.state_at(end)]))
 
 
 def _between(plan: Reference, begin: float, end: float) -> Ints:

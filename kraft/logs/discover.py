@@ -41,7 +41,7 @@ _HEAD = 65536
 
 
 @dataclass(frozen=True)
-class Candidate:
+class LogFiles:
     """Files that form one log.
 
     Attributes:
@@ -69,12 +69,12 @@ class Candidate:
 
 def discover(
     paths: Sequence[Path], controls: Sequence[str], mapping: Mapping
-) -> tuple[list[Candidate], list[Diagnostic]]:
+) -> tuple[list[LogFiles], list[Diagnostic]]:
     """Find the logs in ``paths``, in the order of their names, and the problems of paths that are no logs.
 
     A log that is found more than once is returned once, with a problem that reports it.
     """
-    found: list[Candidate] = []
+    found: list[LogFiles] = []
     roots: list[Path] = []
     problems: list[Diagnostic] = []
     loose: dict[tuple[Path, int], list[Path]] = {}
@@ -138,7 +138,7 @@ def unreadable(path: Path, error: OSError) -> Diagnostic:
     return Diagnostic(str(path), f"cannot be read: {error.strerror}", FORMATS, code=Code.UNREADABLE)
 
 
-def _nonempty(folder: Path, controls: Sequence[str], mapping: Mapping) -> tuple[list[Candidate], list[Diagnostic]]:
+def _nonempty(folder: Path, controls: Sequence[str], mapping: Mapping) -> tuple[list[LogFiles], list[Diagnostic]]:
     """Logs of a folder, and the problems of its subfolders that cannot be read."""
     problems: list[Diagnostic] = []
     found = _scan(folder, folder, controls, mapping, 0, problems)
@@ -153,20 +153,20 @@ def _nonempty(folder: Path, controls: Sequence[str], mapping: Mapping) -> tuple[
 
 def _scan(
     folder: Path, root: Path, controls: Sequence[str], mapping: Mapping, depth: int, problems: list[Diagnostic]
-) -> list[Candidate]:
+) -> list[LogFiles]:
     """Logs of a folder and its subfolders; those of these that cannot be read are added to the problems."""
     name = folder.name if folder == root else folder.relative_to(root).as_posix()
     entries = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
     names = {path.name for path in entries}
     if "metadata.yaml" in names and any(path.suffix in BAGS or path.suffix == COMPRESSED for path in entries):
-        return [Candidate(name, "bag", (folder,))]
+        return [LogFiles(name, "bag", (folder,))]
     if {"steps.csv", "observations.csv"} <= names:
         tables = ["steps.csv", "observations.csv", *({GUARD} & names)]
-        return [Candidate(name, "run", tuple(folder / table for table in tables))]
+        return [LogFiles(name, "run", tuple(folder / table for table in tables))]
     files = [path for path in entries if path.is_file() and path.suffix.lower() in (".csv", ".tsv", *BAGS)]
     found = _logs_of(files, root, controls, mapping, problems)
     if len(found) == 1 and len(found[0].files) > 1:  # the only log of a folder has its name
-        found = [Candidate(name, "csv", found[0].files)]
+        found = [LogFiles(name, "csv", found[0].files)]
     for child in entries if depth < _DEPTH else ():
         if child.is_dir():
             try:
@@ -177,8 +177,8 @@ def _scan(
 
 
 def _across_folders(
-    found: Sequence[Candidate], roots: Sequence[Path], controls: Sequence[str], mapping: Mapping
-) -> tuple[list[Candidate], list[Diagnostic]]:
+    found: Sequence[LogFiles], roots: Sequence[Path], controls: Sequence[str], mapping: Mapping
+) -> tuple[list[LogFiles], list[Diagnostic]]:
     """The candidates, those of single files joined that are commands and poses of a drive in folders of their own.
 
     Files of such folders that do not pair are one problem and no candidates.  `roots` are the folders that the names of
@@ -198,21 +198,21 @@ def _across_folders(
     joined = []
     for pair in pairs:
         first, second = (roots[single[path]] for path in pair)
-        joined.append(Candidate(_shared_name(pair, first if first == second else pair[0].parent.parent), "csv", pair))
+        joined.append(LogFiles(_shared_name(pair, first if first == second else pair[0].parent.parent), "csv", pair))
     rest = [c for i, c in enumerate(found) if i not in used and not (len(c.files) == 1 and c.files[0] in lost)]
     return [*rest, *joined], [unpaired(folder, *files) for folder, files in left.items()]
 
 
 def _logs_of(
     files: Sequence[Path], root: Path, controls: Sequence[str], mapping: Mapping, problems: list[Diagnostic]
-) -> list[Candidate]:
+) -> list[LogFiles]:
     """Logs of files of one folder; that some do not pair is added to the problems."""
     bags = [path for path in files if path.suffix.lower() in BAGS]
     tables = [path for path in files if path not in bags and path.name != TRUTH]
-    found = [Candidate(_name(path, root), "bag", (path,)) for path in bags]
+    found = [LogFiles(_name(path, root), "bag", (path,)) for path in bags]
     groups, unread = group_files(tables, controls, mapping)
     problems += unread
-    found += [Candidate(_shared_name(paths, root), "csv", paths) for paths in groups]
+    found += [LogFiles(_shared_name(paths, root), "csv", paths) for paths in groups]
     return sorted(found, key=lambda candidate: candidate.name)
 
 
@@ -235,13 +235,13 @@ def _common_prefix(words: Sequence[str]) -> str:
     return common.rstrip("_-. ")
 
 
-def _named_apart(found: Sequence[Candidate]) -> list[Candidate]:
+def _named_apart(found: Sequence[LogFiles]) -> list[LogFiles]:
     """Candidates with unique names: those that share a name (from different folders) get the paths of their files."""
     count = Counter(candidate.name for candidate in found)
-    return [c if count[c.name] == 1 else Candidate(str(c.files[0]), c.kind, c.files) for c in found]
+    return [c if count[c.name] == 1 else LogFiles(str(c.files[0]), c.kind, c.files) for c in found]
 
 
-def without_repeated(found: Sequence[Candidate]) -> tuple[list[Candidate], list[Diagnostic]]:
+def without_repeated(found: Sequence[LogFiles]) -> tuple[list[LogFiles], list[Diagnostic]]:
     """Leave out candidates whose files are all in one that is kept, and report them in one diagnostic.
 
     A log that is used twice would count twice, and could be fitted and held out at once.

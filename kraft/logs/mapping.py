@@ -55,7 +55,7 @@ class Column(StrictModel):
         return self
 
 
-class Control(Column):
+class ControlColumn(Column):
     """The column of a control, which may be in a table of its own."""
 
     table: str | None = None
@@ -75,7 +75,7 @@ class Commands(StrictModel):
     """file name or topic"""
     time: Column | None = None
     """when a command was given"""
-    controls: dict[str, Control] = Field(default_factory=dict)
+    controls: dict[str, ControlColumn] = Field(default_factory=dict)
     """the column of each control of the vehicle, by the control's name"""
 
     @field_validator("time")
@@ -85,7 +85,7 @@ class Commands(StrictModel):
 
     @field_validator("controls")
     @classmethod
-    def _controls(cls, value: dict[str, Control]) -> dict[str, Control]:
+    def _controls(cls, value: dict[str, ControlColumn]) -> dict[str, ControlColumn]:
         for name, column in value.items():
             _in(column, "control", (name,))
         return value

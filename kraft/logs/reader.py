@@ -15,10 +15,10 @@ import numpy as np
 from kraft.config.source import KeyPath
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.cleaning import clean
-from kraft.logs.discover import FORMATS, GUARD, Candidate, discover, unreadable
+from kraft.logs.discover import FORMATS, GUARD, LogFiles, discover, unreadable
 from kraft.logs.guess import choose, unknown_controls
 from kraft.logs.log import Array, Log, LogSet, Part, Source
-from kraft.logs.mapping import Column, Control, Mapping
+from kraft.logs.mapping import Column, ControlColumn, Mapping
 from kraft.logs.matching import written_at
 from kraft.logs.motion import Chords, chords
 from kraft.logs.names import SYNONYMS, control_score
@@ -124,7 +124,7 @@ def _check_arguments(paths: Sequence[object], controls: object, mapping: object)
         raise InputError.of("logs", "there are none to read", FORMATS, Code.MISSING)
 
 
-def _common(candidates: Sequence[Candidate]) -> str:
+def _common(candidates: Sequence[LogFiles]) -> str:
     """The common folder of the logs, or the only log."""
     places = [candidate.place for candidate in candidates]
     if len({place.is_absolute() for place in places}) > 1:
@@ -132,7 +132,7 @@ def _common(candidates: Sequence[Candidate]) -> str:
     return os.path.commonpath(places) or "."
 
 
-def _tables(candidate: Candidate, mapping: Mapping) -> tuple[list[Source], list[Table]]:
+def _tables(candidate: LogFiles, mapping: Mapping) -> tuple[list[Source], list[Table]]:
     try:
         if candidate.kind == "bag":
             return _bag(candidate.files[0], mapping)
@@ -321,7 +321,7 @@ def _missing(
     mapping: Mapping,
 ) -> Iterator[Diagnostic]:
     """The problem that no log has the table, or that no such table has the column."""
-    if isinstance(column, Control) and column.table is not None:
+    if isinstance(column, ControlColumn) and column.table is not None:
         family, table = (*path, "table"), column.table
     among = [each for each in tables if table is None or table in (each.name, each.file)]
     if not among:

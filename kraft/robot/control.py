@@ -74,7 +74,7 @@ UNSENT: Final = 60
 """Number of messages from which on the brake guard counts as held up."""
 
 
-class Control:
+class ControlLoop:
     """One drive of the controller."""
 
     def __init__(

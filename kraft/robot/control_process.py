@@ -11,7 +11,7 @@ from typing import Final
 from kraft.errors import KraftError
 from kraft.robot.checklist import Checklist
 from kraft.robot.connect import open_transport
-from kraft.robot.control import Control
+from kraft.robot.control import ControlLoop
 from kraft.robot.drive_tables import DriveTables, headings
 from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
@@ -66,7 +66,7 @@ def run_control(
             _wait_for_guard(spec, transport, guard_mail, before)
             health = Health(spec.robot.watchdog, min(found.pose_rate, spec.robot.pose.rate_hz), spec.period)
             with DriveTables(spec.folder, headings(spec.vehicle)) as tables:
-                ended = Control(spec, transport, inputs, tasks, mailbox, guard_mail, tables, tracker, health).run()
+                ended = ControlLoop(spec, transport, inputs, tasks, mailbox, guard_mail, tables, tracker, health).run()
                 released = guard_mail.send(Released())  # before the tables are written, which may take long
             released.wait(1.0)
             mailbox.send(replace(ended, unwritten=tables.problem)).wait(REPORT_TIME)

@@ -108,7 +108,7 @@ class MarkerCamera:
 
 
 @dataclass(frozen=True)
-class Part:
+class ErrorPart:
     """Share of an error's variance that decays over `length` m of travel or over `time` s; without both, white.
 
     A part with a length depends on the place: while the marker stands it repeats, however long one looks.
@@ -144,7 +144,7 @@ class ErrorModel:
     """
 
     size: PowerLaw
-    parts: tuple[Part, ...]
+    parts: tuple[ErrorPart, ...]
     skew: float = 0.0
     tail: float = 0.0
     mean: PowerLaw = NO_MEAN
@@ -209,22 +209,24 @@ BLURRED_SPEED: Final = 0.1
 TURNING_RADIUS: Final = 0.1
 """Travel of the marker's corners for each radian of turn, m."""
 PLANAR_POSITION: Final = PowerLaw.through(0.0011, 0.0013)
-PLANAR_PARTS: Final = (Part(0.55, time=5.0), Part(0.45))
+PLANAR_PARTS: Final = (ErrorPart(0.55, time=5.0), ErrorPart(0.45))
 PRESETS: Final[Mapping[Literal["planar", "single-tag"], CameraNoise]] = {
     # Fitted to rendered frames (python -m benchmarks sensing): 3 to 7.6 m and up to 35 degrees from the vertical,
     # most of them at 4.7 to 6.2 m.
     "single-tag": CameraNoise(
         along=ErrorModel(
             PowerLaw(0.0290, 2.0, 1.1),
-            (Part(0.12, length=0.4), Part(0.45, length=0.005), Part(0.43)),
+            (ErrorPart(0.12, length=0.4), ErrorPart(0.45, length=0.005), ErrorPart(0.43)),
             skew=0.6,
             mean=PowerLaw(0.0116, 2.8, 1.65),
             standing=0.84,
         ),
-        across=ErrorModel(PowerLaw(0.030, 1.3, -4.7), (Part(0.25, length=1.0), Part(0.2, length=0.005), Part(0.55))),
+        across=ErrorModel(
+            PowerLaw(0.030, 1.3, -4.7), (ErrorPart(0.25, length=1.0), ErrorPart(0.2, length=0.005), ErrorPart(0.55))
+        ),
         heading=ErrorModel(
             PowerLaw(0.0178, 2.1, 1.9),
-            (Part(0.41, length=0.5), Part(0.13, length=0.005), Part(0.46)),
+            (ErrorPart(0.41, length=0.5), ErrorPart(0.13, length=0.005), ErrorPart(0.46)),
             tail=0.2,
             standing=0.76,
         ),
@@ -236,7 +238,7 @@ PRESETS: Final[Mapping[Literal["planar", "single-tag"], CameraNoise]] = {
     "planar": CameraNoise(
         along=ErrorModel(PLANAR_POSITION, PLANAR_PARTS),
         across=ErrorModel(PLANAR_POSITION, PLANAR_PARTS),
-        heading=ErrorModel(PowerLaw(1.005 * DEGREE), (Part(0.01, time=5.0), Part(0.99))),
+        heading=ErrorModel(PowerLaw(1.005 * DEGREE), (ErrorPart(0.01, time=5.0), ErrorPart(0.99))),
         bias=(0.003, 0.2 * DEGREE),
         dropout=0.0,
     ),
@@ -266,7 +268,7 @@ class PoseNoise:
         self.noise, self.dropout, self.scale = noise, dropout, scale
         self._generator = generator
         models = (noise.along, noise.across, noise.heading)
-        only = None if correlation_time is None else (Part(1.0, time=correlation_time),)
+        only = None if correlation_time is None else (ErrorPart(1.0, time=correlation_time),)
         self._models = [(model, model.parts if only is None else only) for model in models]
         self._weights = [[math.sqrt(part.share) for part in parts] for _, parts in self._models]
         bias = noise.bias[0], noise.bias[0], noise.bias[1]

@@ -6,11 +6,11 @@ import json
 from collections.abc import Sequence
 
 from kraft.errors import Code, Diagnostic
-from kraft.logs.discover import Candidate
+from kraft.logs.discover import LogFiles
 from kraft.sysid.base_vehicle import MANIFEST
 
 
-def recorded_with_other_controls(candidates: Sequence[Candidate], controls: Sequence[str]) -> Diagnostic | None:
+def recorded_with_other_controls(candidates: Sequence[LogFiles], controls: Sequence[str]) -> Diagnostic | None:
     """The problem that all logs are recorded ones of vehicles with other controls; None if they are not."""
     found = [_recorded(candidate, controls) for candidate in candidates]
     if not found or any(each is None for each in found):
@@ -29,7 +29,7 @@ def recorded_with_other_controls(candidates: Sequence[Candidate], controls: Sequ
     )
 
 
-def _recorded(candidate: Candidate, controls: Sequence[str]) -> tuple[str, str] | None:
+def _recorded(candidate: LogFiles, controls: Sequence[str]) -> tuple[str, str] | None:
     """Controls and vehicle, as named when it was recorded, of a log; None of other logs, or if it has the controls."""
     try:
         manifest = json.loads((candidate.place / MANIFEST).read_text(encoding="utf-8"))

@@ -10,7 +10,7 @@ import pytest
 from support.logs import drive, located, problems_of, same_drive, wide_columns, write_pair, write_wide
 
 from kraft.errors import Code, InputError
-from kraft.logs.discover import Candidate, without_repeated
+from kraft.logs.discover import LogFiles, without_repeated
 from kraft.logs.pairing import pair_files
 from kraft.logs.reader import read_logs
 
@@ -58,9 +58,9 @@ def test_a_log_that_is_found_again_counts_once(tmp_path: Path, monkeypatch: pyte
 
 
 def test_a_part_of_a_log_is_not_counted_besides_the_whole_wherever_it_stands(tmp_path: Path) -> None:
-    part = Candidate("b", "bag", (tmp_path / "a" / "1.mcap",))
-    whole = Candidate("a", "bag", (tmp_path / "a",))
-    other = Candidate("c", "csv", (tmp_path / "c.csv",))
+    part = LogFiles("b", "bag", (tmp_path / "a" / "1.mcap",))
+    whole = LogFiles("a", "bag", (tmp_path / "a",))
+    other = LogFiles("c", "csv", (tmp_path / "c.csv",))
     (tmp_path / "a").mkdir()
     for name in ("0.mcap", "1.mcap", "metadata.yaml"):
         (tmp_path / "a" / name).touch()

@@ -10,7 +10,7 @@ import numpy as np
 
 from kraft.driving.messages import Commitment, Reference, ReferenceKind
 from kraft.driving.method import load_method
-from kraft.robot.control import Control
+from kraft.robot.control import ControlLoop
 from kraft.robot.drive_tables import DriveTables
 from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
@@ -43,7 +43,7 @@ def test_a_command_of_the_guard_that_is_newer_than_the_tick_counts_from_the_tick
     (planner, _planner), (guard, theirs) = Pipe(), Pipe()
     mail = Mailbox(guard, "the brake guard")
     health = Health(described.watchdog, 30.0, spec.period)
-    control = Control(
+    control = ControlLoop(
         spec, node, inputs, TaskInputs(described, node, None), Mailbox(planner, "the planner"), mail, DriveTables(None, {}),
         tracker, health,
     )  # fmt: skip

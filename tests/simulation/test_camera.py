@@ -14,7 +14,7 @@ from kraft.driving.messages import Observation
 from kraft.errors import Code, InputError
 from kraft.scenario import Sensing, load_scenario
 from kraft.scenario.schema import MARKER_HEIGHT
-from kraft.simulation.camera import PRESETS, ErrorModel, MarkerCamera, Part
+from kraft.simulation.camera import PRESETS, ErrorModel, ErrorPart, MarkerCamera
 from kraft.simulation.world import World
 from ompl_ext.arrays import Floats, Matrix
 
@@ -256,7 +256,7 @@ def test_the_shares_of_the_parts_of_an_error_add_up_to_one() -> None:
 
 @pytest.mark.parametrize(("skew", "tail"), [(0.0, 0.0), (0.6, 0.0), (0.0, 0.15), (0.4, 0.1)])
 def test_skew_and_tails_change_neither_mean_nor_variance(skew: float, tail: float) -> None:
-    model = ErrorModel(PowerLaw(1.0), (Part(1.0),), skew=skew, tail=tail)
+    model = ErrorModel(PowerLaw(1.0), (ErrorPart(1.0),), skew=skew, tail=tail)
     z = np.linspace(-4.0, 4.0, 4001)
     weight = np.exp(-0.5 * z * z) / np.exp(-0.5 * z * z).sum()
     value = np.array([model.deviation(point) for point in z])
