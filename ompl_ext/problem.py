@@ -184,12 +184,17 @@ def _set_goal(problem: Problem, goal: Goal, vehicle: Vehicle, settings: Settings
             scalar[[at.BRAKING, at.GOAL_SPEED]] = rate, max(abs(low), abs(high))
 
 
-def pose_cost_to_go_of(vehicle: Vehicle, workspace: Workspace, goal: Goal, settings: Settings) -> PoseCostToGo:
-    """Cost-to-go of poses, computed once for a vehicle, a map and a goal; kernels only read it."""
+def pose_cost_to_go_of(
+    vehicle: Vehicle, workspace: Workspace, goal: Goal, settings: Settings, *, clear: bool = False
+) -> PoseCostToGo:
+    """Cost-to-go of poses, computed once for a vehicle, a map and a goal; kernels only read it.
+
+    Its paths avoid poses that hardly keep their clearance if they shall be `clear`.
+    """
     wide = vehicle.footprint.with_margin(settings.way_margin)
     cell = settings_for(settings, vehicle, workspace, goal).cell
     key, near = _Vehicle(replace(vehicle, footprint=wide)), vehicle.footprint if goal.has_heading else wide
-    return _pose_seconds(key, near, workspace, cell, goal.center, goal.radius, goal.heading, goal.tolerance)
+    return _pose_seconds(key, near, workspace, cell, goal.center, goal.radius, goal.heading, goal.tolerance, clear)
 
 
 def _with_pose_cost_to_go(
@@ -232,6 +237,7 @@ def _pose_seconds(
     radius: float,
     heading: float,
     tolerance: float,
+    clear: bool,
 ) -> PoseCostToGo:
     """Cost-to-go of poses; the search around a goal with a heading has the footprint `near`."""
     vehicle = key.vehicle
@@ -259,6 +265,7 @@ def _pose_seconds(
         geodesic,
         footprint.width,
         discs,
+        clear,
     )
 
 

@@ -262,22 +262,25 @@ class DirtSolver(QueryTree):
     def _add_path(self) -> None:
         """Add edges along paths of poses from the root, as far as they are free and safe, until one is in the goal.
 
-        Where the first one is not, local optimisation may begin with it: that disregards accelerations at first.
+        Where the first one is not, local optimisation may begin with it: that disregards accelerations at first.  Paths
+        share their narrowest place, so if none can be followed, clear ones are tried, unless an earlier plan leads on.
         """
         vehicle, goal = self._first
         assert goal is not None
         began, root = time.perf_counter(), self._tree.state[0].copy()
-        found = pose_cost_to_go_of(vehicle, self.workspace, goal, self.settings)
         follower = self._path_follower(vehicle)
-        retained = int(self._tree.count[at.RETAINED])
-        most = PATHS if retained == 0 else PATHS_AGAIN
-        for path in found.paths_from(*pose_of(root, self.vehicle), most):
-            if self._tree.count[at.BEST] >= 0 or len(path.times) == 0:
+        has_earlier_plan = self._tree.count[at.RETAINED] > 0
+        for clear in (False,) if has_earlier_plan else (False, True):
+            if self._tree.count[at.BEST] >= 0:
                 break
-            controls, durations = follower.edges_along(path, root)
-            self._add_edges(controls, durations)
-            if self._tree.count[at.BEST] < 0 and self._polish is not None and not self._polished.guessed:
-                self._optimise_guess()
+            found = pose_cost_to_go_of(vehicle, self.workspace, goal, self.settings, clear=clear)
+            for path in found.paths_from(*pose_of(root, self.vehicle), PATHS_AGAIN if has_earlier_plan else PATHS):
+                if self._tree.count[at.BEST] >= 0 or len(path.times) == 0:
+                    break
+                controls, durations = follower.edges_along(path, root)
+                self._add_edges(controls, durations)
+                if self._tree.count[at.BEST] < 0 and self._polish is not None and not self._polished.guessed:
+                    self._optimise_guess()
         self._update_progress(self._progress.seconds + time.perf_counter() - began)
 
     def _optimise_guess(self) -> None:

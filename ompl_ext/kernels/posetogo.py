@@ -76,6 +76,7 @@ LEADS_ON = 0.03  # share of the cells that a search must reach, else another one
 EASE = 0.9  # share of the curvature that motions have where possible, so that errors can be corrected
 GAIN = 0.05  # share by which another search must reach more cells to be preferred
 LACKING = 4.0  # factor of the time of motions to poses that lack clearance
+CLEAR = 0.06  # clearance below which motions on clear paths take LACKING times as long, as a share of the width
 INSIDE = 0.8  # share of the goal's tolerances that the fine search around it aims for
 
 
@@ -91,6 +92,7 @@ def pose_cost_to_go(
     geodesic: Matrix32,
     footprint_width: float,
     tight_discs: Matrix,
+    clear: bool = False,
 ) -> PoseCostToGo:
     """Cost-to-go of the poses from which the vehicle can get to the goal region.
 
@@ -106,6 +108,8 @@ def pose_cost_to_go(
         geodesic: cost-to-go of positions on the cells of the clearance field (s).
         footprint_width: of the vehicle (m).
         tight_discs: of the footprint, for the search around the goal.
+        clear: refuse poses that lack clearance and avoid those that hardly keep it: a vehicle that follows a path along
+            them with its dynamics deviates by more than they leave.
     """
     area = (bounds[0][1] - bounds[0][0]) * (bounds[1][1] - bounds[1][0])
     cell, headings = _resolution(area, twists, cells)
@@ -119,6 +123,8 @@ def pose_cost_to_go(
     count = headings * rows * columns
     allowance = ALLOWED * (cell + 2.0 * math.pi / headings * maps.scalar[REACH])
     required, wanted = REQUIRED * footprint_width, COMFORT * footprint_width
+    if clear:
+        allowance, required = -required, CLEAR * footprint_width
     frame = np.array([*origin, 1.0 / cell, rows, columns, headings, goal[2], allowance, required, wanted, 0.0])
     region = np.array([*goal, goal_radius, goal_tolerance])
     close = region * (1.0, 1.0, 1.0, INSIDE, INSIDE)

@@ -86,6 +86,25 @@ def test_a_car_with_a_drive_train_parks_too() -> None:
     check(parking(1.3, vehicle), start_of(vehicle, 0.6, 0.7, 0.0), seed=0)
 
 
+@pytest.mark.parametrize("turned", [0.0, 101.0])
+def test_where_the_shortest_paths_cannot_be_followed_clear_ones_are(turned: float) -> None:
+    """The gap is left of a street whose kerbs are obstacles, and turned; all of the shortest paths touch a corner."""
+    vehicle, angle, place = load_vehicle("mushr-drive"), math.radians(turned), np.array([1.3, -7.1])
+    length, width, turn = (
+        0.44,
+        0.28,
+        np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]),
+    )
+    cars = [((side * 1.15 * length, -width / 2), (length, width)) for side in (-1, 1)]
+    kerbs = [((0.0, y), (7.3 * length, 0.1)) for y in (0.05, -width - 2.25 * length - 0.05)]
+    solids = tuple(box(tuple(place + turn @ center), size, angle) for center, size in cars + kerbs)
+    x, y = place + turn @ (-vehicle.footprint.offset, -width / 2 - 0.05 * length)
+    goal = Goal((float(x), float(y)), 0.05, angle, math.radians(5), {"v": (-0.05, 0.05)})
+    bounds = tuple((float(each) - 6 * length, float(each) + 6 * length) for each in place)
+    begin = place + turn @ (-2.2 * length, -width - 1.125 * length)
+    check(DirtSolver(vehicle, Workspace(bounds, solids), goal), start_of(vehicle, *begin, angle), seed=0)
+
+
 @pytest.mark.parametrize("heading", [math.pi / 2, -math.pi / 2])
 def test_a_bay_across_the_street_is_entered_ahead_and_astern(heading: float) -> None:
     goal = Goal((1.6, 0.3), 0.05, heading, math.radians(5), {"v": (-0.05, 0.05)})
