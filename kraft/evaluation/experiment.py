@@ -22,6 +22,7 @@ from kraft.planning.feasibility import check_placement, needs_motions
 from kraft.planning.workspace import start_state
 from kraft.scenario import Scenario
 from kraft.text import MessageSink, no_messages
+from kraft.trial.camera_view import check_view
 from kraft.trial.planning_vehicle import check_robot, load_planning_vehicle, vehicle_reference
 from kraft.vehicles.load import load_vehicle, resolved_reference
 from kraft.vehicles.reference import reference_of
@@ -179,6 +180,10 @@ def _cells(
     for entry in entries:
         scenario = entry.scenario
         checked: set[str] = set()
+        try:
+            check_view(scenario)
+        except InputError as error:
+            problems += error.diagnostics
         for method in methods:
             try:
                 reference = vehicle_reference(scenario, method, vehicle)

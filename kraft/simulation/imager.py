@@ -108,11 +108,7 @@ class Imager:
 
     def corners(self, position: Floats, rotation: Matrix) -> Matrix | None:
         """True pixels (4, 2) of the tag's corners, None if it is not before the camera or turned away."""
-        inside = self.view.points(position + CORNERS @ rotation.T)
-        if (inside[:, 2] < 0.1).any() or rotation[:, 2].dot(self.view.position - position) <= 0.0:
-            return None
-        ahead = inside[:, :2] / inside[:, 2:]
-        return self.lens.distorted(ahead) if (np.abs(ahead) < 1.0).all() else None
+        return tag_corners(self.lens, self.view, position, rotation)
 
     def _motion(self, time: float, position: Floats, rotation: Matrix) -> list[tuple[Floats, Matrix]]:
         """Poses at equal intervals during the exposure, as many as the motion in the frame needs."""
@@ -152,6 +148,15 @@ class Imager:
         electrons = electrons + deviation * noise.standard_normal(light.shape, np.float32)
         linear = np.clip(electrons / imaging.full_well, 0.0, 1.0)
         return np.round(255.0 * linear ** (1.0 / imaging.gamma)).astype(np.uint8)
+
+
+def tag_corners(lens: Lens, view: View, position: Floats, rotation: Matrix) -> Matrix | None:
+    """Pixels (4, 2) of a tag's corners, position (3,) in m; None if it is not before the camera or turned away."""
+    inside = view.points(position + CORNERS @ rotation.T)
+    if (inside[:, 2] < 0.1).any() or rotation[:, 2].dot(view.position - position) <= 0.0:
+        return None
+    ahead = inside[:, :2] / inside[:, 2:]
+    return lens.distorted(ahead) if (np.abs(ahead) < 1.0).all() else None
 
 
 def _smooth_maps(values: Matrix, count: int) -> tuple[Any, Any]:

@@ -13,8 +13,20 @@ from kraft.errors import Code, InputError
 from kraft.scenario import Bounds, Scenario
 from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.simulation.camera import HALF_MARKER
-from kraft.simulation.floor_frame import yaw_rotation
-from kraft.simulation.imager import CORNERS, HEIGHT, WIDTH, Calibration, Imager, Imaging, Lens, View, dictionary, opencv
+from kraft.simulation.floor_frame import FloorFrame, yaw_rotation
+from kraft.simulation.imager import (
+    CORNERS,
+    HEIGHT,
+    WIDTH,
+    Calibration,
+    Imager,
+    Imaging,
+    Lens,
+    View,
+    dictionary,
+    opencv,
+    tag_corners,
+)
 from ompl_ext.arrays import Floats, Matrix
 
 SMALLEST: Final = 12.0
@@ -38,7 +50,7 @@ class RenderedCamera:
         """
         generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 0xCA3E7B])))
         lens, view = Lens(), view_of(scenario.sensing.camera, scenario.bounds)
-        self.latency, self._scenario = scenario.sensing.latency, scenario
+        self.latency = scenario.sensing.latency
         self._imager = Imager(lens, view, Imaging(), generator)
         side = calibrated_side(scenario.sensing.camera, scenario.bounds.x, scenario.bounds.y)
         self._vision = TagVision(*Calibration().of(lens, view, generator), side)
@@ -56,21 +68,27 @@ class RenderedCamera:
         x, y, theta = pose
         return Observation(time=time, arrival=time + self.latency, x=x, y=y, theta=theta)
 
-    def check_sees(self, position: Floats, rotation: Matrix) -> None:
-        """Check that the tag is in the frame, and large enough there to be detected.
 
-        Raises:
-            InputError: at `sensing.camera`.
-        """
-        corners = self._imager.corners(position, rotation)
-        if corners is None or not ((corners > 4.0) & (corners < (WIDTH - 5.0, HEIGHT - 5.0))).all():
-            problem = "does not see the marker at the start"
-        elif (side := float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).min())) < SMALLEST:
-            problem = f"sees the marker at the start with a side of {side:.1f} px, too small to be detected"
-        else:
-            return
+def check_sees(scenario: Scenario, frame: FloorFrame) -> None:
+    """Check that the tag of a car at the start is in the frame, and large enough there to be detected.
+
+    Nothing is rendered: an evaluation checks all of its scenarios before the first trial.
+
+    Raises:
+        InputError: at `sensing.camera`.
+    """
+    start, camera = scenario.start, scenario.sensing.camera
+    position, rotation = np.array([start.x, start.y, MARKER_HEIGHT]), frame.rotation @ yaw_rotation(start.heading)
+    corners = tag_corners(Lens(), view_of(camera, scenario.bounds), frame.to_world(position), rotation)
+    if corners is None or not ((corners > 4.0) & (corners < (WIDTH - 5.0, HEIGHT - 5.0))).all():
+        problem = "does not see the marker at the start"
         expected = "expected a place from which it is in view: 70 x 43 degrees about the centre of the bounds"
-        raise InputError([self._scenario.source.diagnostic("sensing.camera", problem, expected, code=Code.GEOMETRY)])
+    elif (side := float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).min())) < SMALLEST:
+        problem = f"sees the marker at the start with a side of {side:.1f} px, too small to be detected"
+        expected = f"expected at least {SMALLEST:g} px, from a place nearer to it or more above it"
+    else:
+        return
+    raise InputError([scenario.source.diagnostic("sensing.camera", problem, expected, code=Code.GEOMETRY)])
 
 
 def view_of(camera: tuple[float, float, float], bounds: Bounds) -> View:

@@ -13,7 +13,6 @@ from kraft.driving.messages import Observation
 from kraft.scenario import Scenario
 from kraft.scenario.schema import MARKER_HEIGHT
 from kraft.simulation.camera import Camera, MarkerCamera
-from kraft.simulation.floor_frame import yaw_rotation
 from kraft.simulation.true_world import TrueWorld
 from kraft.simulation.world import Ticks, steps_of
 from ompl_ext.arrays import Floats
@@ -111,9 +110,7 @@ def camera_of(world: TrueWorld, scenario: Scenario, seed: int) -> Camera:
     """Camera of the scenario's preset."""
     if scenario.sensing.preset != "rendered":
         return MarkerCamera(scenario.sensing, MARKER_HEIGHT, seed)
-    from kraft.simulation.rendered_camera import RenderedCamera
+    from kraft.simulation.rendered_camera import RenderedCamera, check_sees
 
-    rendered = RenderedCamera(scenario, seed)
-    place = np.array([scenario.start.x, scenario.start.y, MARKER_HEIGHT])
-    rendered.check_sees(world.frame.to_world(place), world.frame.rotation @ yaw_rotation(scenario.start.heading))
-    return rendered
+    check_sees(scenario, world.frame)
+    return RenderedCamera(scenario, seed)

@@ -33,6 +33,7 @@ from kraft.scenario.loader import scenario_from
 from kraft.scenario.schema import ScenarioFile
 from kraft.scenario.unmapped import unstated_outside
 from kraft.text import MessageSink, nearest
+from kraft.trial.camera_view import check_view
 from kraft.trial.planning_vehicle import check_own_robot, check_robot, other_robot, own_robot
 from kraft.trial.warnings import near_start
 from kraft.vehicles.config import VehicleConfig
@@ -173,6 +174,7 @@ def _check_scenario(scenario: Scenario, report: MessageSink) -> None:
     ensure_checks_compiled(task, vehicle, report)
     check_placement(task, vehicle, start_state(task, vehicle))
     check_robot(scenario, vehicle)
+    check_view(scenario)
     check_reachable(task, vehicle)
     for warning in (unstated_outside(task), near_start(task, vehicle), other_robot(scenario, vehicle)):
         if warning:

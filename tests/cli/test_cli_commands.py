@@ -49,6 +49,12 @@ def test_valid_files_are_said_to_be_what_they_are(files: Path, capsys: pytest.Ca
     assert err == ""
 
 
+def test_validation_says_that_a_camera_does_not_see_the_start(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (files / "far.yaml").write_text(GOOD + "sensing: {preset: rendered, camera: [1, 1, 90]}\n")
+    assert main(["validate", "far.yaml"]) == 2
+    assert "sensing.camera: sees the marker at the start with a side of " in capsys.readouterr().err
+
+
 def test_validation_of_a_scenario_compiles_the_maps_kernels_alone_and_says_so(
     files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

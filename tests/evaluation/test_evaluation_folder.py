@@ -51,6 +51,13 @@ def test_arguments_that_are_no_mapping_leave_no_folder(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+def test_a_camera_that_does_not_see_the_start_leaves_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        run(tmp_path / "out", settings={"sensing.preset": "rendered", "sensing.camera": [1, 30, 5]})
+    assert {(each.path, each.code) for each in caught.value.diagnostics} == {("sensing.camera", Code.GEOMETRY)}
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_folder_holds_everything(tmp_path: Path) -> None:
     found = run(tmp_path / "out")
     assert found.complete
