@@ -79,5 +79,6 @@ def plan(
     else:
         show_rows(terminal, table_rows(outcome), good=outcome.result.solved)
     if outcome.result.reason:
-        terminal.error(outcome.result.reason)
+        longer = "" if outcome.result.plan is None else "; a longer search (--iterations, --time) may reach it"
+        terminal.error(outcome.result.reason + longer)
     return ExitStatus.DONE if outcome.result.solved else ExitStatus.NEGATIVE

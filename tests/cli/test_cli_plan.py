@@ -195,6 +195,11 @@ def test_no_plan_is_an_answer_with_its_reason_and_code_1(room: Path, capsys: pyt
     assert err.startswith("error: ")
 
 
+def test_a_search_that_ends_too_early_names_the_options_of_a_longer_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "turns", "--iterations", "2"]) == 1
+    assert capsys.readouterr().err.rstrip().endswith("; a longer search (--iterations, --time) may reach it")
+
+
 def test_the_page_without_a_plan_says_why_and_not_how_long_that_took(room: Path) -> None:
     room.write_text(SCENE.replace("size: [1, 1]", "size: [0.5, 4]"))
     outcome = run_plan(PlanRequest("room.yaml"), no_messages)
