@@ -111,47 +111,29 @@ def pose_cost_to_go(
         clear: refuse poses that lack clearance and avoid those that hardly keep it: a vehicle that follows a path along
             them with its dynamics deviates by more than they leave.
     """
-    area = (bounds[0][1] - bounds[0][0]) * (bounds[1][1] - bounds[1][0])
-    cell, headings = _resolution(area, twists, cells)
-    fits = area * headings / cell**2 <= 1.2 * MAX_CELLS  # which rounding of the bins may exceed
-    half = math.inf if fits else 0.5 * cell * math.sqrt(MAX_CELLS / headings)
-    before = [math.ceil(max(min(c - low, half), 0.0) / cell) + 1 for c, (low, _) in zip(goal, bounds, strict=False)]
-    columns, rows = (
-        before[k] + math.ceil(max(min(bounds[k][1] - goal[k], half), 0.0) / cell) + 2 for k in range(2)
-    )  # the goal is in the centre of a cell
-    origin = (goal[0] - before[0] * cell, goal[1] - before[1] * cell)
-    count = headings * rows * columns
-    allowance = ALLOWED * (cell + 2.0 * math.pi / headings * maps.scalar[REACH])
+    grid = _grid(bounds, goal, twists, cells)
+    headings, rows, columns = grid.shape
+    allowance = ALLOWED * (grid.cell + 2.0 * math.pi / headings * maps.scalar[REACH])
     required, wanted = REQUIRED * footprint_width, COMFORT * footprint_width
     if clear:
         allowance, required = -required, CLEAR * footprint_width
-    frame = np.array([*origin, 1.0 / cell, rows, columns, headings, goal[2], allowance, required, wanted, 0.0])
+    frame = np.array(
+        [*grid.origin, 1.0 / grid.cell, rows, columns, headings, goal[2], allowance, required, wanted, 0.0]
+    )
     region = np.array([*goal, goal_radius, goal_tolerance])
-    close = region * (1.0, 1.0, 1.0, INSIDE, INSIDE)
-    attempts: list[tuple[NearPoses | None, float]] = [(None, EASE), (None, 1.0)]
+    nearby = None
     if goal_tolerance < math.pi:  # a goal that any heading reaches is not narrow
+        close = region * (1.0, 1.0, 1.0, INSIDE, INSIDE)
         nearby = near_poses(maps._replace(discs=tight_discs), close, twists, reversal, footprint_width)
-        attempts = [(nearby, EASE), (nearby, 1.0), (None, 1.0)]
-    one_way = bool(np.all(twists[:, 0] >= 0.0) or np.all(twists[:, 0] <= 0.0))
-    most, table, motions, near = -1, None, twists, None
-    for poses, ease in attempts:
-        eased = motions_of(np.where(twists[:, :1] != 0.0, twists * (1.0, 1.0, ease), twists), cell, headings, STRIDE)
-        found = _searched(count, frame, eased, reversal, region, maps, poses)
-        reached = int(np.count_nonzero(found.seconds < UNKNOWN))
-        if reached > (1.0 + GAIN) * most:
-            most, table, motions, near = reached, found, eased, poses
-        if most >= LEADS_ON * count and not (one_way and ease < 1.0):
-            break
-    assert table is not None, "the first attempt was taken"
+    table, motions, near = _widest_search(grid, frame, twists, reversal, region, maps, nearby)
     filled = np.empty_like(table.seconds)
-    shape = headings, rows, columns
-    _fill(table.seconds.reshape(shape), filled.reshape(shape), CAUTION)
-    beyond = 0.0 if fits else _beyond(filled.reshape(shape), origin, cell, maps, geodesic)
+    _fill(table.seconds.reshape(grid.shape), filled.reshape(grid.shape), CAUTION)
+    beyond = 0.0 if grid.covers else _beyond(filled.reshape(grid.shape), grid.origin, grid.cell, maps, geodesic)
     return PoseCostToGo(
         filled,
-        origin,
-        cell,
-        shape,
+        grid.origin,
+        grid.cell,
+        grid.shape,
         beyond,
         table.seconds,
         table.pose[:, :3],
@@ -163,6 +145,59 @@ def pose_cost_to_go(
         float(np.hypot(twists[:, 0], twists[:, 1]).max()),
         reversal,
     )
+
+
+class _Grid(NamedTuple):
+    """Cells of poses: lower corner `origin` (m), side `cell` (m), headings, rows and columns.
+
+    It `covers` the workspace, or as much round the goal as `MAX_CELLS` reach.
+    """
+
+    origin: tuple[float, float]
+    cell: float
+    shape: tuple[int, int, int]
+    covers: bool
+
+
+def _grid(
+    bounds: tuple[tuple[float, float], tuple[float, float]],
+    goal: tuple[float, float, float],
+    twists: Matrix,
+    cells: tuple[float, float],
+) -> _Grid:
+    """Grid with the goal in the centre of a cell."""
+    area = (bounds[0][1] - bounds[0][0]) * (bounds[1][1] - bounds[1][0])
+    cell, headings = _resolution(area, twists, cells)
+    fits = area * headings / cell**2 <= 1.2 * MAX_CELLS  # which rounding of the bins may exceed
+    half = math.inf if fits else 0.5 * cell * math.sqrt(MAX_CELLS / headings)
+    before = [math.ceil(max(min(c - low, half), 0.0) / cell) + 1 for c, (low, _) in zip(goal, bounds, strict=False)]
+    columns, rows = (before[k] + math.ceil(max(min(bounds[k][1] - goal[k], half), 0.0) / cell) + 2 for k in range(2))
+    origin = (goal[0] - before[0] * cell, goal[1] - before[1] * cell)
+    return _Grid(origin, cell, (headings, rows, columns), fits)
+
+
+def _widest_search(
+    grid: _Grid, frame: Floats, twists: Matrix, reversal: float, region: Floats, maps: Maps, nearby: NearPoses | None
+) -> tuple[_Table, Matrix, NearPoses | None]:
+    """Table of the search that reaches most cells, with its motions and the poses around the goal that it begins at.
+
+    Searches with eased turns, which leave room to correct errors, and from the poses nearby come first.
+    """
+    count = math.prod(grid.shape)
+    attempts = [(None, EASE), (None, 1.0)] if nearby is None else [(nearby, EASE), (nearby, 1.0), (None, 1.0)]
+    one_way = bool(np.all(twists[:, 0] >= 0.0) or np.all(twists[:, 0] <= 0.0))
+    most, best = -1, None
+    for poses, ease in attempts:
+        eased = np.where(twists[:, :1] != 0.0, twists * (1.0, 1.0, ease), twists)
+        motions = motions_of(eased, grid.cell, grid.shape[0], STRIDE)
+        found = _searched(count, frame, motions, reversal, region, maps, poses)
+        reached = int(np.count_nonzero(found.seconds < UNKNOWN))
+        if reached > (1.0 + GAIN) * most:
+            most, best = reached, (found, motions, poses)
+        if most >= LEADS_ON * count and not (one_way and ease < 1.0):
+            break
+    assert best is not None, "the first attempt was taken"
+    return best
 
 
 def _resolution(area: float, twists: Matrix, cells: tuple[float, float]) -> tuple[float, int]:
