@@ -14,7 +14,7 @@ from functools import partial
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from kraft.driving.control import needs_map
 from kraft.driving.estimator_settings import Oracle
@@ -192,23 +192,7 @@ def _drive_in_processes(
     on_abandon: Callable[[DriveResult], object] | None,
 ) -> DriveResult:
     """Start controller, brake guard and the process that receives maps, and plan for them."""
-    context, has_maps = process_context(), spec.robot.map is not None
-    (here, there), (to_guard, to_control) = context.Pipe(), context.Pipe()
-    to_maps, from_maps = context.Pipe() if has_maps else (None, None)
-    ends = [end for end in (here, there, to_guard, to_control, to_maps, from_maps) if end is not None]
-
-    def others(*own: Connection | None) -> list[Connection]:
-        return [end for end in ends if end not in own]
-
-    guard = context.Process(target=run_guard, args=(spec, to_control, others(to_control)), name="kraft guard")
-    process = context.Process(
-        target=run_control, args=(spec, there, to_guard, to_maps, others(there, to_guard, to_maps)),
-        name="kraft controller",
-    )  # fmt: skip
-    processes = [(process, JOIN_TIME), (guard, GUARD_JOIN_TIME)]
-    if from_maps is not None:
-        maps = context.Process(target=run_maps, args=(spec, from_maps, others(from_maps)), name="kraft map")
-        processes.append((maps, JOIN_TIME))
+    here, others, process, processes = _processes(spec)
     lock = threading.Lock()
 
     def send(message: Any) -> None:
@@ -231,7 +215,7 @@ def _drive_in_processes(
         for child, patience in processes:
             child.start()
             started.append((child, patience))
-        for end in others(here):
+        for end in others:
             end.close()
         with preferred_planner(), _interrupts(lambda: send(StopOrder("by a signal")), abandon) as received:
             signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
@@ -244,6 +228,44 @@ def _drive_in_processes(
             each.join(patience)
             if each.is_alive():
                 each.kill()
+
+
+class _Processes(NamedTuple):
+    """Processes of a drive, not started.
+
+    Attributes:
+        here: the planner's end of the pipe to the controller.
+        others: the ends of pipes that are not the planner's.
+        controller: the controller's process.
+        all: all of them, each with the time in which it ends by itself, s.
+    """
+
+    here: Connection
+    others: list[Connection]
+    controller: BaseProcess
+    all: list[tuple[BaseProcess, float]]
+
+
+def _processes(spec: DriveSpec) -> _Processes:
+    """Controller, brake guard and, of a robot with a map, the process that receives it."""
+    context, has_maps = process_context(), spec.robot.map is not None
+    (here, there), (to_guard, to_control) = context.Pipe(), context.Pipe()
+    to_maps, from_maps = context.Pipe() if has_maps else (None, None)
+    ends = [end for end in (here, there, to_guard, to_control, to_maps, from_maps) if end is not None]
+
+    def others(*own: Connection | None) -> list[Connection]:
+        return [end for end in ends if end not in own]
+
+    guard = context.Process(target=run_guard, args=(spec, to_control, others(to_control)), name="kraft guard")
+    process = context.Process(
+        target=run_control, args=(spec, there, to_guard, to_maps, others(there, to_guard, to_maps)),
+        name="kraft controller",
+    )  # fmt: skip
+    processes: list[tuple[BaseProcess, float]] = [(process, JOIN_TIME), (guard, GUARD_JOIN_TIME)]
+    if from_maps is not None:
+        maps = context.Process(target=run_maps, args=(spec, from_maps, others(from_maps)), name="kraft map")
+        processes.append((maps, JOIN_TIME))
+    return _Processes(here, others(here), process, processes)
 
 
 def _drive(
