@@ -23,7 +23,7 @@ from kraft.sysid import identify, prediction_errors
 from kraft.sysid.command_units import CommandUnit, command_units, sign_warnings, unit_notes, with_units
 from kraft.sysid.screening import check_consistency, check_direction, two_cars
 from kraft.sysid.smoothing import thinned
-from kraft.sysid.unexplained import unexplained_stretches, without
+from kraft.sysid.unexplained import Stretch, unexplained_stretches, without
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import Footprint
@@ -259,8 +259,13 @@ def disturbances() -> tuple[Log, ...]:
     return tuple(disturbed(k, kind) for k, kind in enumerate(kinds)) + tuple(disturbed(k) for k in range(10, 13))
 
 
+@cache
+def stretches() -> tuple[Stretch, ...]:
+    return unexplained_stretches(disturbances())
+
+
 def test_stretches_that_no_model_explains_are_found_with_their_times() -> None:
-    found = unexplained_stretches(disturbances())
+    found = stretches()
     assert {s.log for s in found} == {log.name for log in disturbances() if not log.name.startswith("good")}
     for s in found:
         assert s.begin > 8.0
@@ -271,7 +276,7 @@ def test_stretches_that_no_model_explains_are_found_with_their_times() -> None:
 
 
 def test_a_car_that_is_held_is_slower_than_commanded_and_then_faster() -> None:
-    held = [s for s in unexplained_stretches(disturbances()) if s.log.startswith("held")]
+    held = [s for s in stretches() if s.log.startswith("held")]
     assert held[0].what == "slower than commanded"
     early = drive("early", "mushr-lag", 7, (Disturbance("held", 0.0, 2.5),), seconds=24.0)
     found = unexplained_stretches((early, *disturbances()[5:]))
@@ -288,8 +293,9 @@ def test_nothing_is_left_out_of_good_logs() -> None:
 
 def test_without_those_stretches_the_parameters_predict_better() -> None:
     truth = [disturbed(seed) for seed in range(30, 33)]
-    whole = identify(lag(), disturbances())
-    cut = identify(lag(), without(disturbances(), unexplained_stretches(disturbances())))
+    held, carried, good = disturbances()[0], disturbances()[1], disturbances()[-1]
+    whole = identify(lag(), (held, carried, good))
+    cut = identify(lag(), without((held, carried, good), stretches()))
     errors = [prediction_errors(lag(), truth, found.values).position[3.0] for found in (whole, cut)]
     assert errors[1] < 0.5 * errors[0]
     assert cut.values["L"] == pytest.approx(TRUTH["L"], rel=0.02)
