@@ -6,6 +6,7 @@ import math
 import re
 from pathlib import Path
 from typing import Final
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -83,6 +84,8 @@ def read_barn(path: Path, vehicle: str, start: Start | None, goal: Goal | None, 
             "trial": trial,
         },
         places={
+            "bounds": here,
+            "sensing": here,
             "obstacles": here,
             "start": here if start is None else Place("start", argument=True),
             "goal": here if goal is None else Place("goal", argument=True),
@@ -123,9 +126,13 @@ def _cells(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     """
     expected = "expected an array of n cells with two numbers each"
     try:
-        cells = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError.of(str(path), f"cannot be read: {error}", expected, Code.UNREADABLE) from None
+        with path.open("rb") as file:
+            cells = np.load(file, allow_pickle=False)
+    except OSError as error:
+        problem = f"cannot be read: {error.strerror or error}"
+        raise InputError.of(str(path), problem, expected, Code.UNREADABLE) from None
+    except (ValueError, EOFError, BadZipFile):  # numpy's text advises to load what it does not know as code
+        raise InputError.of(str(path), "is no complete file of numpy", expected, Code.SYNTAX) from None
     usable = getattr(cells, "ndim", 0) == 2 and cells.shape[1] == 2 and cells.dtype.kind in "iuf"
     if not usable or not np.isfinite(cells).all():
         raise InputError([Diagnostic(str(path), "is no path", expected, code=Code.TYPE)])

@@ -13,11 +13,14 @@ from typing import Any, Final
 from xml.parsers import expat
 
 from kraft.errors import Code, Diagnostic, InputError
+from kraft.text import counted
 
 UPRIGHT: Final = 1e-3
 """Largest roll and pitch of an upright shape, rad."""
 SIZE_MAX: Final = 200_000_000
 """Largest size of an unpacked file, bytes."""
+DEPTH_MAX: Final = 100
+"""Most elements within each other; worlds of models in models have some ten."""
 Pose = tuple[float, float, float, float, float, float]
 """x, y, z (m), roll, pitch, yaw (rad)."""
 ORIGIN: Final[Pose] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -82,11 +85,15 @@ def read_sdf(path: Path, *, skip: bool = False) -> Shapes:
         InputError: if the file cannot be read, is no SDF, or has other shapes and they are not to be skipped.
     """
     root = parse_xml(content_of(path), str(path))
-    world = root if root.tag == "world" else root.first("world") or root
-    if root.tag not in ("sdf", "world") or (not any(world.each("model")) and not any(world.each("include"))):
-        problem = f"is a <{root.tag}> without a model"
-        raise InputError([Diagnostic(str(path), problem, "expected <sdf> with a <world>", 1, 1, code=Code.MISMATCH)])
     reader = _Reader(str(path))
+    world, *others = [root] if root.tag == "world" else [*root.each("world")] or [root]
+    if root.tag not in ("sdf", "world"):
+        expected = "expected <sdf> with a <world>"
+        raise InputError([reader.diagnostic(root, "is no Gazebo world", expected, Code.MISMATCH)])
+    if not any(child.tag in ("model", "include") for child in world.children):
+        raise InputError([reader.diagnostic(world, "has no model", "expected a <world> with models", Code.MISMATCH)])
+    for other in others[:1]:  # Gazebo simulates each world of a file apart
+        reader.problem(other, "is a second world", "expected a file with one world", Code.DUPLICATE)
     reader.world(world)
     problems = reader.problems if skip else reader.problems + reader.unknown()
     if problems:
@@ -119,24 +126,28 @@ def parse_xml(content: bytes, file: str) -> Element:
     """Parse an XML file into elements with their positions.
 
     Raises:
-        InputError: at the first error, and for a file that declares entities.
+        InputError: at the first error, for a file that declares entities, and for one with too deep a nesting.
     """
     parser = expat.ParserCreate()
     top = Element("", {}, 1, 1)
     path = [top]
 
+    def refuse(problem: str, expected: str) -> None:
+        at = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
+        raise InputError([Diagnostic(file, problem, expected, *at, code=Code.SYNTAX)])
+
     def start(tag: str, attributes: dict[str, str]) -> None:
         line, column = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
         path[-1].children.append(Element(tag, attributes, line, column))
         path.append(path[-1].children[-1])
+        if len(path) > DEPTH_MAX:
+            refuse(f"is the {DEPTH_MAX}th element within another", "expected a world with fewer")
 
     def text(data: str) -> None:
         path[-1].text += data
 
     def entity(*_: object) -> None:
-        at = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
-        problem, expected = "declares an entity", "expected XML without a document type"
-        raise InputError([Diagnostic(file, problem, expected, *at, code=Code.SYNTAX)])
+        refuse("declares an entity", "expected XML without a document type")
 
     parser.StartElementHandler, parser.EndElementHandler = start, lambda _: path.pop()
     parser.CharacterDataHandler, parser.EntityDeclHandler = text, entity
@@ -277,7 +288,7 @@ class _Reader:
     def numbers(self, element: Element, tag: str, count: int) -> list[float]:
         found = element.first(tag)
         if found is None:
-            self.problem(element, f"has no <{tag}>", f"expected <{tag}> with {count} numbers", Code.MISSING)
+            self.problem(element, f"has no <{tag}>", f"expected <{tag}> with {counted(count, 'number')}", Code.MISSING)
             return [math.nan] * count
         values = self.read(found, count)
         if any(not value > 0.0 for value in values) and not any(map(math.isnan, values)):
@@ -292,13 +303,16 @@ class _Reader:
             values = []
         if len(values) != count or not all(map(math.isfinite, values)):
             given = " ".join(element.text.split())[:60]
-            self.problem(element, f"is {given!r}", f"expected {count} finite numbers", Code.VALUE)
+            self.problem(element, f"is {given!r}", f"expected {counted(count, 'finite number')}", Code.VALUE)
             return [math.nan] * count
         return values
 
     def problem(self, element: Element, problem: str, expected: str, code: Code) -> None:
-        at = (element.line, element.column)
-        self.problems.append(Diagnostic(self.file, problem, expected, *at, f"<{element.tag}>", code))
+        self.problems.append(self.diagnostic(element, problem, expected, code))
+
+    def diagnostic(self, element: Element, problem: str, expected: str, code: Code) -> Diagnostic:
+        """Problem of an element, at its place."""
+        return Diagnostic(self.file, problem, expected, element.line, element.column, f"<{element.tag}>", code)
 
     def unknown(self) -> list[Diagnostic]:
         """One problem for each kind of shape that cannot be an obstacle, at the first one."""
@@ -308,15 +322,7 @@ class _Reader:
             first.setdefault(kind, element)
         expected = "expected upright cylinders, boxes and spheres, or `skip` to leave out all others"
         return [
-            Diagnostic(
-                self.file,
-                f"{counts[kind]} x {kind} cannot be an obstacle",
-                expected,
-                element.line,
-                element.column,
-                f"<{element.tag}>",
-                Code.UNKNOWN,
-            )
+            self.diagnostic(element, f"{counts[kind]} x {kind} cannot be an obstacle", expected, Code.UNKNOWN)
             for kind, element in first.items()
         ]
 

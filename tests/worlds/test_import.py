@@ -170,6 +170,9 @@ def test_other_starts_and_goals_are_taken_and_have_no_score(tmp_path: Path) -> N
     [
         ("<sdf><world>", Code.SYNTAX, 1),
         ("<robot/>", Code.MISMATCH, 1),
+        ("<sdf>\n<world/></sdf>", Code.MISMATCH, 2),
+        (sdf(model("post", CYLINDER)).replace("</sdf>", "\n<world name='more'/></sdf>"), Code.DUPLICATE, 8),
+        ("<sdf><world>\n" + "<model>" * 3000 + "</model>" * 3000 + "</world></sdf>", Code.SYNTAX, 2),
         ("<!DOCTYPE x [<!ENTITY a 'b'>]><sdf/>", Code.SYNTAX, 1),
         (sdf(model("post", "<cylinder><length>1</length></cylinder>")), Code.MISSING, 6),
         (sdf(model("post", "<cylinder><radius>-1</radius><length>1</length></cylinder>")), Code.VALUE, 6),
@@ -217,6 +220,20 @@ def test_what_the_checks_need_is_compiled_with_a_word_and_every_checked_world_is
         "compiling for barn-8 and jackal",
         "world 2 of 2: barn-8",
     ]
+
+
+def test_bounds_around_an_obstacle_too_far_away_are_a_problem_of_the_world(tmp_path: Path) -> None:
+    found = problems(tmp_path, sdf(model("post", CYLINDER, "1e9 5 0 0 0 0")))
+    assert {file for _, file, _, _ in found} == {"world_7.world"}
+
+
+@pytest.mark.parametrize("content", [b"", b"0 0\n0 1\n", b"PK\x03\x04"])
+def test_a_path_that_is_no_file_of_numpy_is_refused_without_advice_to_load_code(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "path_7.npy").write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        imported(tmp_path, sdf(model("post", CYLINDER)))
+    assert [(d.code, Path(d.file).name) for d in caught.value.diagnostics] == [(Code.SYNTAX, "path_7.npy")]
+    assert "pickle" not in str(caught.value)
 
 
 def test_an_enclosed_goal_is_a_negative_result_at_the_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
