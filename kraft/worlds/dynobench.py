@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from kraft.config.document import Document
+from kraft.config.document import Document, Value
 from kraft.config.schema import Coordinate, Length, StrictModel, check
 from kraft.config.source import Place, Source
 from kraft.config.yaml_reader import read_document
@@ -47,14 +48,18 @@ SHAPES: Final = ("box", "sphere")
 """Types of obstacles that are read."""
 
 
+def _as_list(value: object) -> object:
+    return value if isinstance(value, tuple) else (value,)
+
+
 class ObstacleFile(StrictModel):
-    """An obstacle; `size` of a sphere is its radius."""
+    """An obstacle; `size` of a sphere is its radius, as a number or in a list."""
 
     type: str
     """box or sphere"""
     center: tuple[Coordinate, Coordinate]
     """[x, y], m"""
-    size: tuple[Length, Length] | tuple[Length] | Length
+    size: Annotated[tuple[Length, ...], BeforeValidator(_as_list)]
     """[length, width] of a box, or the radius of a sphere, m"""
 
 
@@ -149,10 +154,29 @@ def _read_problem(path: Path) -> tuple[ProblemFile, Document]:
     if isinstance(document.data, dict) and not {"environment", "robots"} & document.data.keys():
         expected = "expected a file with the keys environment and robots"
         raise InputError.of(str(path), "is no problem of dynobench", expected, Code.MISMATCH)
-    content, problems = check(ProblemFile, document)
+    content, problems = check(ProblemFile, replace(document, data=_without_content_of_others(document.data)))
     if content is None:
         raise InputError(problems)
     return content, document
+
+
+def _without_content_of_others(data: Value) -> Value:
+    """Content of a file in which obstacles of other types have the keys of those that are read.
+
+    What else they state, such as the file of an octomap, is not read: they are refused or left out.
+    """
+    environment = data.get("environment") if isinstance(data, dict) else None
+    obstacles = environment.get("obstacles") if isinstance(environment, dict) else None
+    if not (isinstance(data, dict) and isinstance(environment, dict) and isinstance(obstacles, tuple)):
+        return data
+    return {**data, "environment": {**environment, "obstacles": tuple(map(_readable, obstacles))}}
+
+
+def _readable(obstacle: Value) -> Value:
+    kind = obstacle.get("type") if isinstance(obstacle, dict) else None
+    if not isinstance(kind, str) or kind in SHAPES:
+        return obstacle
+    return {"type": kind, "center": (0.0, 0.0), "size": (1.0,)}
 
 
 def _places(document: Document) -> dict[str, Place]:
@@ -187,7 +211,7 @@ def _obstacles(environment: EnvironmentFile, source: Source, problems: list[Diag
     """Obstacles of the types that are read, as a scenario file has them; problems are added to `problems`."""
     found: list[dict[str, Any]] = []
     for k, each in enumerate(environment.obstacles):
-        size = each.size if isinstance(each.size, tuple) else (each.size,)
+        size = each.size
         if each.type in SHAPES and len(size) != (2 if each.type == "box" else 1):
             expected = "expected [length, width]" if each.type == "box" else "expected a radius"
             at = ("environment", "obstacles", k, "size")

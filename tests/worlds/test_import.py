@@ -288,6 +288,7 @@ def test_a_problem_of_dynobench_keeps_its_states_and_names_its_vehicle(tmp_path:
     [
         (("type: sphere", "type: octomap"), Code.UNKNOWN, 7, 14),
         (("size: [0.3]", "size: [0.3, 0.3]"), Code.VALUE, 7, 44),
+        (("type: sphere, center", "type: octomap, octomap_file: a.bt, center"), Code.UNKNOWN, 7, 14),
         (("unicycle1_v0", "quadrotor_v0"), Code.UNKNOWN, 9, 11),
         (("start: [1, 1, 0]", "start: [3, 3, 0]"), Code.GEOMETRY, 10, 12),
         (("goal: [5, 5, 1.5]", "goal: [1, 5, 1.5]"), Code.GEOMETRY, 11, 11),
@@ -307,6 +308,20 @@ def test_a_problem_that_cannot_be_read_is_refused_at_its_line(
     vehicle = None if change[1] == "quadrotor_v0" else "mushr"
     found = problems(tmp_path, PROBLEM.replace(*change), kind="dynobench", name="kink.yaml", vehicle=vehicle)
     assert (code, "kink.yaml", line, column) in found
+
+
+def test_a_wrong_size_has_one_problem_at_its_number(tmp_path: Path) -> None:
+    for size, at in (("[1.0, -0.5]", (6, 47)), ("[1.0, wide]", (6, 47)), ("-1.0", (6, 35))):
+        text = PROBLEM.replace("[1.0, 0.5]", size)
+        found = problems(tmp_path, text, kind="dynobench", name="kink.yaml", vehicle="mushr")
+        assert [(line, column) for _, _, line, column in found] == [at]
+
+
+def test_an_octomap_is_left_out_on_request_whatever_it_states(tmp_path: Path) -> None:
+    octomap = "type: octomap, octomap_file: a.bt, center: [0, 0, 1], size: [1, 1, 1]"
+    text = PROBLEM.replace("type: sphere, center: [1, 5], size: [0.3]", octomap)
+    out = imported(tmp_path, text, kind="dynobench", name="kink.yaml", skip=True)
+    assert load_scenario(out / "test.yaml").obstacles == (Box((3, 3), (1, 0.5), name="box 0"),)
 
 
 def test_a_file_that_is_no_problem_of_dynobench_has_one_problem(tmp_path: Path) -> None:
