@@ -20,6 +20,8 @@ from ompl_ext.vehicle import Vehicle
 
 DOUBTFUL: Final = 2.0
 """Factor between the steering that is sent and the angle of the model's wheels from which on the unit is in doubt."""
+RIGHT_ANGLE: Final = 0.5 * math.pi
+"""Angle beyond which no wheels turn, rad: a larger number has another unit."""
 
 
 def limited(vehicle: Vehicle, robot: Robot) -> Vehicle:
@@ -65,11 +67,24 @@ def _steering_up_to(vehicle: Vehicle, angle: float) -> tuple[float, float]:
 
 
 def unit_problem(vehicle: Vehicle, robot: Robot) -> str | None:
-    """What is wrong if steering is sent that is no angle in radians; None if it may be one."""
-    if robot.command.type == JOINTS or not is_car(vehicle) or (sent := _largest_angle(vehicle, robot)) <= 0.5 * math.pi:
+    """What is wrong if steering is sent that is no angle; None if it may be one.
+
+    It is one in radians, or in degrees if the factor of the robot file makes them of the model's numbers.
+    """
+    if robot.command.type == JOINTS or not is_car(vehicle) or (sent := _largest_angle(vehicle, robot)) <= RIGHT_ANGLE:
         return None
-    problem = f"steering of up to {sent:.4g} would be sent as radians: {vehicle.name} has it in another unit"
-    return f"{problem}; state command.steering.scale in the robot file, {math.radians(1.0):.4f} if it is degrees"
+    steering, most = robot.command.steering, _largest_steering(vehicle)
+    if most > RIGHT_ANGLE:
+        problem = f"steering of up to {sent:.4g} would be sent as radians: {vehicle.name} has it in another unit"
+        return f"{problem}; state command.steering.scale in the robot file, {math.radians(1.0):.4f} if it is degrees"
+    if not _sends_degrees(vehicle, robot):
+        problem = f"steering of up to {sent:.4g} would be sent: {vehicle.name} has up to {most:.3g}, and "
+        problem += f"command.steering.scale is {steering.scale:g}; expected a factor that makes radians of it"
+        return f"{problem}, or {math.degrees(_largest_turn(vehicle)) / most:.4g} if the robot takes degrees"
+    if steering.offset_deg:
+        problem = f"command.steering.offset_deg would be added as {math.radians(steering.offset_deg):.3g} rad"
+        return f"{problem} to steering in degrees, which command.steering.scale makes; expected it to be left out"
+    return None
 
 
 def unit_warnings(vehicle: Vehicle, robot: Robot, converted: Mapping[str, CommandScale]) -> Iterator[str]:
@@ -78,10 +93,12 @@ def unit_warnings(vehicle: Vehicle, robot: Robot, converted: Mapping[str, Comman
     `converted` are the commands whose numbers in the logs were not those that the identified model takes.
     """
     is_angle = robot.command.type != JOINTS and is_car(vehicle)
-    if is_angle and WHEELBASE in vehicle.parameters:
-        sent, turns = _largest_angle(vehicle, robot), CarModel(vehicle)
-        bend = max(abs(turns.curvature(edge)) for edge in vehicle.controls["steering"])
-        wheels = math.atan(bend * vehicle.parameters[WHEELBASE])
+    if is_angle and _sends_degrees(vehicle, robot):
+        sent, scale = _largest_angle(vehicle, robot), robot.command.steering.scale
+        doubt = f"steering is sent in degrees, up to {sent:.3g}, as command.steering.scale is {scale:g}"
+        yield f"{doubt}: {robot.command.type} has radians; does the robot take degrees?"
+    elif is_angle and WHEELBASE in vehicle.parameters:
+        sent, wheels = _largest_angle(vehicle, robot), _largest_turn(vehicle)
         if not wheels / DOUBTFUL <= sent <= wheels * DOUBTFUL:
             doubt = (
                 f"steering of up to {sent:.2g} rad is sent, at which the wheels of {vehicle.name} turn by {wheels:.2g}"
@@ -103,6 +120,28 @@ def _largest_angle(vehicle: Vehicle, robot: Robot) -> float:
     steering = robot.command.steering
     offset = math.radians(steering.offset_deg)
     return max(abs(steering.scale * edge + offset) for edge in vehicle.controls["steering"])
+
+
+def _largest_steering(vehicle: Vehicle) -> float:
+    """Largest number that a model has as steering, in its own unit."""
+    return max(abs(edge) for edge in vehicle.controls["steering"])
+
+
+def _largest_turn(vehicle: Vehicle) -> float:
+    """Largest angle of the wheels of a model, rad; its steering where the wheelbase is not known."""
+    if WHEELBASE not in vehicle.parameters:
+        return _largest_steering(vehicle)
+    turns = CarModel(vehicle)
+    bend = max(abs(turns.curvature(edge)) for edge in vehicle.controls["steering"])
+    return math.atan(bend * vehicle.parameters[WHEELBASE])
+
+
+def _sends_degrees(vehicle: Vehicle, robot: Robot) -> bool:
+    """Whether the factor of the robot file makes degrees of a model's steering, which has another unit."""
+    if _largest_steering(vehicle) > RIGHT_ANGLE or (sent := _largest_angle(vehicle, robot)) <= RIGHT_ANGLE:
+        return False
+    wheels = math.degrees(_largest_turn(vehicle))
+    return wheels / DOUBTFUL <= sent <= wheels * DOUBTFUL
 
 
 def check_controls(vehicle: Vehicle, robot: Robot) -> None:

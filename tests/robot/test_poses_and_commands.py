@@ -125,6 +125,28 @@ def test_steering_that_is_no_angle_in_radians_is_not_sent_as_one() -> None:
     assert unit_problem(in_degrees(), robot(command=command(type="sensor_msgs/msg/JointState"))) is None
 
 
+@pytest.mark.parametrize("name", ["mushr-force", "f1tenth"])
+def test_a_factor_that_makes_degrees_of_radians_is_doubtful_and_not_refused(name: str) -> None:
+    in_degrees = robot(command=command(steering={"scale": -math.degrees(1.0)}))
+    assert unit_problem(load_vehicle(name), in_degrees) is None
+    (warning,) = unit_warnings(load_vehicle(name), in_degrees, {})
+    assert "sent in degrees" in warning
+
+
+def test_a_factor_that_makes_no_angle_is_refused_as_the_factor() -> None:
+    problem = unit_problem(load_vehicle("mushr-force"), robot(command=command(steering={"scale": 1000.0})))
+    assert problem is not None
+    assert "command.steering.scale is 1000" in problem
+    assert "another unit" not in problem
+
+
+def test_an_offset_is_not_added_to_degrees_as_radians() -> None:
+    steering = {"scale": math.degrees(1.0), "offset_deg": 2.0}
+    problem = unit_problem(load_vehicle("mushr-force"), robot(command=command(steering=steering)))
+    assert problem is not None
+    assert "offset_deg" in problem
+
+
 @pytest.mark.parametrize("name", ["mushr", "mushr-lag", "mushr-force", "f1tenth"])
 def test_the_units_of_the_bundled_cars_are_not_in_doubt(name: str) -> None:
     assert unit_problem(load_vehicle(name), robot()) is None
