@@ -1,20 +1,24 @@
-"""Screening of logs before an identification: what commands and motion of a car say of each other without a model.
+"""Screening of logs before an identification: what commands and motion say of each other without a model.
 
-Regressions of the yaw rate on speed and steering, and of the change of the speed on throttle and speed, are enough to
-see that commands and poses do not belong together: an offset of their clocks, swapped columns, two cars.
+Regressions of the yaw rate on speed and steering of a car, and of the change of the speed on throttle and speed, are
+enough to see that commands and poses do not belong together: an offset of their clocks, swapped columns, two cars.  For
+a robot with two driven sides `kraft.sysid.sides_response` has the regressions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
+from kraft.sysid import sides_response
+from kraft.sysid.log_groups import RIDGE, Response, groups_problem
 from kraft.sysid.log_motion import SPAN, STEP, SWEEPS, LogMotion, are_of_cars, followed, motions, sums_of
-from ompl_ext.arrays import Bools, Floats, Matrix
+from kraft.sysid.sides_response import drive_samples, motions_of_sides, responses_of_sides, turn_samples
+from ompl_ext.arrays import Floats, Matrix
 
 if TYPE_CHECKING:
     from kraft.logs.log import Log
@@ -46,12 +50,6 @@ RATE_SPAN: Final = 0.6
 It is long beside the lags of steering and commands, about 0.1 s, which differ from log to log without another car; and
 short beside the curves that a car drives, which would be averaged away.
 """
-GROUP_LOGS_MIN: Final = 4
-"""Least number of logs among which groups are sought."""
-GROUP_TIME_MIN: Final = 20.0
-"""Least duration of the logs of a group, s: a few seconds may differ by chance."""
-GROUP_ROUNDS: Final = 20
-"""Most rounds in which logs change from one group to the other, from each beginning."""
 GROUP_DELAYS: Final = (0.1, 0.3)
 """Delays of the response with which groups are sought, s: that of a mixture would say nothing about either."""
 GRIP_QUANTILES: Final = (0.4, 0.8)
@@ -60,10 +58,6 @@ GROUP_TURN_LEAST, GROUP_TURN_RATIO = 0.008, 0.5
 """Share of the yaw rate that two groups explain in addition, at least, and of what is left by them, at most."""
 GROUP_DRIVE_LEAST, GROUP_DRIVE_RATIO = 0.05, 0.6
 """The same for changes of the speed."""
-OTHERS: Final = 1e-3
-"""Weight of the logs of the other group, which decide where those of a group do not."""
-RIDGE: Final = 1e-6
-"""Share of the information that is added, so that a command that never changes has no effect."""
 
 
 def yaw_error(found: Sequence[LogMotion], delay: float, *, swapped: bool = False) -> float:
@@ -115,10 +109,12 @@ def turns_before_steered(logs: Sequence[Log]) -> bool:
 
 def two_cars(logs: Sequence[Log]) -> str:
     """The logs that drive differently from the others, if they fall into two groups, with what to do; else empty."""
-    found = motions(logs) if are_of_cars(logs) else []
-    if not found:
+    if found := motions_of_sides(logs):
+        problem = groups_problem(found, logs, responses_of_sides(found))
+    elif are_of_cars(logs) and (found := motions(logs)):
+        problem = _check_groups(found, logs)
+    else:
         return ""
-    problem = _check_groups(found, logs)
     return "" if problem is None else f"{problem.problem}; {problem.expected}"
 
 
@@ -139,35 +135,61 @@ def check_direction(logs: Sequence[Log]) -> None:
 
 
 def check_consistency(logs: Sequence[Log]) -> None:
-    """Refuse logs of a car whose commands and poses do not belong together, or that are of two cars.
+    """Refuse logs whose commands and poses do not belong together, or that are of two vehicles.
 
-    Logs without throttle and steering are not checked.
+    Logs of other vehicles than cars and robots with two driven sides are not checked.
 
     Raises:
         InputError: if throttle and steering are swapped, if the clocks of commands and poses are apart, or if the logs
             fall into two groups; with what to do.
     """
-    if not logs or not are_of_cars(logs):
+    if found := motions_of_sides(logs):
+        problem = (
+            _check_clock(partial(_side_error, found), partial(_turn_error, found), sides_response.USUAL_DELAY)
+            or groups_problem(found, logs, responses_of_sides(found))
+        )  # fmt: skip
+    elif logs and are_of_cars(logs) and (found := motions(logs)):
+        problem = (
+            _check_columns(found)
+            or _check_clock(partial(_car_error, found), partial(yaw_error, found), USUAL_DELAY)
+            or _check_groups(found, logs)
+        )
+    else:
         return
-    found = motions(logs)
-    if not found:
-        return
-    for check in (_check_columns, _check_clock, _check_groups):
-        problem = check(found, logs)
-        if problem is not None:
-            raise InputError([problem])
+    if problem is not None:
+        raise InputError([problem])
 
 
-def _least(found: Sequence[LogMotion], delays: Iterable[float], *, swapped: bool = False) -> tuple[float, float]:
-    """Least sum of both shares that commands leave unexplained, and its delay."""
-    return min(
-        (yaw_error(found, d, swapped=swapped) + speed_error(found, d, swapped=swapped), float(d)) for d in delays
-    )
+def _car_error(found: Sequence[LogMotion], delay: float, *, swapped: bool = False) -> float:
+    """Sum of both shares that the commands of a car leave unexplained."""
+    return yaw_error(found, delay, swapped=swapped) + speed_error(found, delay, swapped=swapped)
 
 
-def _check_columns(found: Sequence[LogMotion], _: Sequence[Log]) -> Diagnostic | None:
-    stated, _delay = _least(found, NEAR_DELAYS)
-    swapped, _delay = _least(found, NEAR_DELAYS, swapped=True)
+def _turn_error(found: Sequence[LogMotion], delay: float) -> float:
+    """Share of the change of the turning rate that the commands of both sides do not explain."""
+    samples = [turn_samples(m, delay) for m in found]
+    return unexplained(np.concatenate([terms for terms, _ in samples]), np.concatenate([y for _, y in samples]))
+
+
+def _side_error(found: Sequence[LogMotion], delay: float) -> float:
+    """Sum of both shares that the commands of both sides leave unexplained."""
+    samples = [drive_samples(m, delay) for m in found]
+    drive = unexplained(np.concatenate([terms for terms, _ in samples]), np.concatenate([y for _, y in samples]))
+    return _turn_error(found, delay) + drive
+
+
+Error = Callable[[float], float]
+"""Share of motions that commands leave unexplained, by the time (s) for which they are delayed."""
+
+
+def _least(error: Error, delays: Iterable[float]) -> tuple[float, float]:
+    """Least error, and its delay."""
+    return min((error(float(d)), float(d)) for d in delays)
+
+
+def _check_columns(found: Sequence[LogMotion]) -> Diagnostic | None:
+    stated, _delay = _least(partial(_car_error, found), NEAR_DELAYS)
+    swapped, _delay = _least(partial(_car_error, found, swapped=True), NEAR_DELAYS)
     if stated - swapped < SWAPPED_LEAST or swapped > SWAPPED_RATIO * stated:
         return None
     problem = "throttle and steering are swapped: the vehicle turns with the throttle"
@@ -175,15 +197,19 @@ def _check_columns(found: Sequence[LogMotion], _: Sequence[Log]) -> Diagnostic |
     return Diagnostic("logs", problem, expected, code=Code.MISMATCH)
 
 
-def _check_clock(found: Sequence[LogMotion], _: Sequence[Log]) -> Diagnostic | None:
-    near, _delay = _least(found, NEAR_DELAYS)
-    far, delay = _least(found, FAR_DELAYS)
+def _check_clock(error: Error, turning: Error, usual: float) -> Diagnostic | None:
+    """The offset of the clocks, if commands of another time explain both motions better.
+
+    `turning` is the error of the yaw alone, which the commands explain best `usual` s later where clocks agree.
+    """
+    near, _delay = _least(error, NEAR_DELAYS)
+    far, delay = _least(error, FAR_DELAYS)
     if near - far < OFFSET_LEAST or far > OFFSET_RATIO * near:
         return None
-    beside, _delay = _least(found, (delay - OFFSET_WIDTH, delay + OFFSET_WIDTH))
+    beside, _delay = _least(error, (delay - OFFSET_WIDTH, delay + OFFSET_WIDTH))
     if beside - far < 0.5 * OFFSET_LEAST:  # slow ramps are explained by commands of any time
         return None
-    offset = USUAL_DELAY - _fine_delay(found, delay)
+    offset = usual - _fine_delay(error, turning, delay)
     problem = (
         f"the commands are recorded {abs(offset):.2f} s {'later' if offset > 0.0 else 'earlier'} than they act: their "
         "clock is not that of the poses"
@@ -192,62 +218,28 @@ def _check_clock(found: Sequence[LogMotion], _: Sequence[Log]) -> Diagnostic | N
     return Diagnostic("logs", problem, expected, code=Code.MISMATCH)
 
 
-def _fine_delay(found: Sequence[LogMotion], delay: float) -> float:
-    """The delay near a coarse one: that of the yaw rate, or of both motions where the steering hardly explains it.
+def _fine_delay(error: Error, turning: Error, delay: float) -> float:
+    """The delay near a coarse one: that of the yaw rate, or of both motions where the commands hardly explain it.
 
     The inertia of the drive spreads a change of the speed over a time in which it shows no delay.
     """
-    delays = delay + FINE_STEP * np.arange(-FINE_COUNT, FINE_COUNT + 1)
-    errors = [yaw_error(found, each) for each in delays]
+    delays = (delay + FINE_STEP * np.arange(-FINE_COUNT, FINE_COUNT + 1)).tolist()
+    errors = [turning(each) for each in delays]
     if min(errors) < UNEXPLAINED_MAX:
-        return float(delays[np.argmin(errors)])
-    return _least(found, delays)[1]
-
-
-@dataclass(frozen=True, eq=False)
-class _Normal:
-    """Normal equations of one regression for each log."""
-
-    information: Floats
-    """(logs, k, k)"""
-    gradient: Matrix
-    """(logs, k)"""
-    square: Floats
-    """(logs,) of the values"""
-
-    def cost(self, chosen: Bools) -> Floats:
-        """(logs,) sum of squares that the regression over the chosen logs leaves of each log."""
-        weight = np.where(chosen, 1.0, OTHERS)
-        whole = np.tensordot(weight, self.information, 1)
-        ridge = RIDGE * np.trace(self.information.sum(axis=0)) * np.eye(len(whole))
-        b = np.linalg.solve(whole + ridge, weight @ self.gradient)
-        cost: Floats = self.square - 2.0 * self.gradient @ b + np.einsum("i,nij,j->n", b, self.information, b)
-        return cost
+        return float(delays[int(np.argmin(errors))])
+    return _least(error, delays)[1]
 
 
 def _check_groups(found: Sequence[LogMotion], logs: Sequence[Log]) -> Diagnostic | None:
-    if len(logs) < GROUP_LOGS_MIN:
-        return None
     driving = [[driving_terms(m, delay) for m in found] for delay in GROUP_DELAYS]
-    for what, candidates, least, most in (
-        ("turn", _turning(found), GROUP_TURN_LEAST, GROUP_TURN_RATIO),
-        ("accelerate", driving, GROUP_DRIVE_LEAST, GROUP_DRIVE_RATIO),
-    ):
-        tried = [_normal(found, len(logs), samples) for samples in candidates]
-        normal = min(tried, key=lambda each: _two_groups(each)[1])
-        one = normal.cost(np.ones(len(logs), bool)).sum()
-        first, two = _two_groups(normal)
-        times = np.bincount([m.log for m in found], [len(m.times) * STEP for m in found], len(logs))
-        long = min(times[first].sum(), times[~first].sum()) >= GROUP_TIME_MIN
-        fair = long and 2 <= first.sum() <= len(logs) - 2
-        if fair and one - two >= least * normal.square.sum() and two <= most * one:
-            sides = [
-                ", ".join(log.name for log, own in zip(logs, first == k, strict=True) if own) for k in (True, False)
-            ]
-            problem = f"the logs fall into two groups that {what} differently: one is {sides[0]}; the other {sides[1]}"
-            expected = "expected logs of one car in one state; identify each group by itself"
-            return Diagnostic("logs", problem, expected, code=Code.MISMATCH)
-    return None
+    return groups_problem(
+        found,
+        logs,
+        (
+            Response("turn", _turning(found), GROUP_TURN_LEAST, GROUP_TURN_RATIO),
+            Response("accelerate", driving, GROUP_DRIVE_LEAST, GROUP_DRIVE_RATIO),
+        ),
+    )
 
 
 def _turning(found: Sequence[LogMotion]) -> list[list[tuple[Matrix, Floats]]]:
@@ -289,35 +281,3 @@ def driving_terms(m: LogMotion, delay: float) -> tuple[Matrix, Floats]:
     terms = [np.ones(len(mean)), mean, mean * np.abs(mean), before, before * np.abs(before), np.tanh(10.0 * before)]
     turned_away = sums_of(m.rate * m.side, count) / count
     return np.column_stack([*terms, before * turned, turned_away]), v[count:] - before
-
-
-def _normal(found: Sequence[LogMotion], logs: int, samples: Sequence[tuple[Matrix, Floats]]) -> _Normal:
-    scale = np.sqrt(np.mean(np.concatenate([x for x, _ in samples]) ** 2, axis=0)) + 1e-12
-    k = len(scale)
-    normal = _Normal(np.zeros((logs, k, k)), np.zeros((logs, k)), np.zeros(logs))
-    for m, (x, y) in zip(found, samples, strict=True):
-        normal.information[m.log] += (x / scale).T @ (x / scale)
-        normal.gradient[m.log] += (x / scale).T @ y
-        normal.square[m.log] += y @ y
-    return normal
-
-
-def _two_groups(normal: _Normal) -> tuple[Bools, float]:
-    """Division of the logs into two groups with a regression each that leaves least, and what it leaves."""
-    logs = len(normal.square)
-    whole = np.maximum(normal.square, 1e-12)
-    best: tuple[Bools, float] = (np.ones(logs, bool), np.inf)
-    for k in range(logs):  # begin with the logs that are most like one of them
-        share = normal.cost(np.arange(logs) == k) / whole
-        first = share < np.median(share)
-        for _ in range(GROUP_ROUNDS):
-            if not 0 < first.sum() < logs:
-                break
-            own, other = normal.cost(first), normal.cost(~first)
-            left = float(np.minimum(own, other).sum())
-            if left < best[1]:
-                best = (own < other, left)
-            if np.array_equal(own < other, first):
-                break
-            first = own < other
-    return best
