@@ -89,17 +89,20 @@ def read_sysid_logs(
 def has_two_sides(paths: Sequence[Path], mapping_file: Path | None) -> bool:
     """Whether the first log that can be read has the commands of a robot with two driven sides, and not of a car.
 
-    Where none can be read, the headings of the files tell.
+    Where none can be read, as without motion, the columns of the logs and the headings of the files tell.
 
     Raises:
         InputError: if the mapping file cannot be read.
     """
     mapping = Mapping() if mapping_file is None else load_mapping(mapping_file)
-    for candidate in discover(paths, SIDES, mapping)[0]:
+    candidates = discover(paths, SIDES, mapping)[0]
+    for candidate in candidates:
         if _is_log_of(candidate.place, CAR_CONTROLS, mapping):
             return False
         if _is_log_of(candidate.place, SIDES, mapping):
             return True
+    if any(_has_columns(c.place, SIDES, mapping) > _has_columns(c.place, CAR_CONTROLS, mapping) for c in candidates):
+        return True
     return _are_pairs(paths, SIDES, mapping) and not _are_pairs(paths, CAR_CONTROLS, mapping)
 
 
@@ -115,6 +118,15 @@ def _is_log_of(place: Path, controls: Sequence[str], mapping: Mapping) -> bool:
         read_logs([place], controls, mapping, any_command_unit=True)
     except InputError:  # what is wrong is reported when all logs are read
         return False
+    return True
+
+
+def _has_columns(place: Path, controls: Sequence[str], mapping: Mapping) -> bool:
+    """Whether a log has columns for these commands, though it may not be usable for another reason."""
+    try:
+        read_logs([place], controls, mapping, any_command_unit=True)
+    except InputError as error:
+        return all(each.code == Code.DATA for each in error.diagnostics)
     return True
 
 

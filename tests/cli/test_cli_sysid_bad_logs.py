@@ -146,3 +146,15 @@ def test_a_vehicle_file_that_predicts_better_is_not_replaced(folder: Path, capsy
     assert "held-out logs are predicted better with my.yaml as it is" in json.loads(out)["objections"][0]
     assert "my.yaml was not written" in err
     assert (folder / "my.yaml").read_bytes() == before
+
+
+def test_a_robot_with_two_sides_that_stands_still_is_not_taken_for_a_car(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [f"{0.05 * k:g},{0.01 * (k % 7):g},{0.01 * (k % 5):g},1,2,0" for k in range(200)]
+    still = tmp_path / "still.csv"
+    still.write_text("\n".join(["t,left,right,x,y,yaw", *rows]))
+    assert main(["sysid", str(still)]) == 1
+    err = capsys.readouterr().err
+    assert "there is no motion" in err
+    assert "throttle" not in err
