@@ -11,7 +11,8 @@ import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.logs.log import Log
-from kraft.sysid.checks import SolvedProblem, SteeringInMotion, warnings_of
+from kraft.sysid.checks import STEERING_SPREAD_MIN, SolvedProblem, SteeringInMotion, warnings_of
+from kraft.sysid.command_units import SIDES
 from kraft.sysid.data import usable_logs
 from kraft.sysid.fit_progress import OnIteration, ignore_iteration
 from kraft.sysid.interface import Identification, ModelTrial, Settings
@@ -177,12 +178,12 @@ SEVERAL_VALUES: Final = "expected drives in which it takes several values, such 
 
 
 def check_controls(logs: Sequence[Log], steered: SteeringInMotion) -> None:
-    """Refuse logs in which a control never changes: nothing shows what it does.
+    """Refuse logs in which a control never changes, or both sides of a robot never apart: nothing shows what it does.
 
     Raises:
         InputError: with every such control.
     """
-    problems = []
+    problems: list[Diagnostic] = []
     for name in logs[0].controls:
         values = np.concatenate([part.commands[:, log.controls.index(name)] for log in logs for part in log.parts])
         expected = "expected drives with arcs to both sides" if name == "steering" else SEVERAL_VALUES
@@ -192,8 +193,28 @@ def check_controls(logs: Sequence[Log], steered: SteeringInMotion) -> None:
         elif name == "steering" and not steered.varies:
             problem = "have commands whose steering hardly changes while the vehicle moves"
             problems.append(Diagnostic("logs", problem, expected, code=Code.DATA))
+    problems = problems or _of_sides(logs)
     if problems:
         raise InputError(problems)
+
+
+def _of_sides(logs: Sequence[Log]) -> list[Diagnostic]:
+    """Problems of the commands of both sides of a robot: straight drives alone, or turns on the spot alone."""
+    if set(logs[0].controls) != set(SIDES):
+        return []
+    left, right = (
+        np.concatenate([part.commands[:, log.controls.index(name)] for log in logs for part in log.parts])
+        for name in SIDES
+    )
+    least, problems = STEERING_SPREAD_MIN * max(np.abs(left).max(), np.abs(right).max()), []
+    for gap, like, drives in (
+        (right - left, "hardly differ", "turns to both sides"),
+        (right + left, "hardly differ but for their sign", "straight drives"),
+    ):
+        if np.std(gap) <= least:
+            problem = f"have commands of left and right that {like}"
+            problems.append(Diagnostic("logs", problem, f"expected {drives} too", code=Code.DATA))
+    return problems
 
 
 def _trial(structure: Structure, *, chosen: bool, horizon: float) -> ModelTrial:

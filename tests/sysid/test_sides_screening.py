@@ -12,7 +12,9 @@ import pytest
 from benchmarks.synthetic_logs import synthetic_logs
 from kraft.errors import InputError
 from kraft.logs.log import Log
+from kraft.sysid.checks import SteeringInMotion
 from kraft.sysid.screening import check_consistency, two_cars
+from kraft.sysid.terms import check_controls
 from kraft.vehicles.config import load_vehicle_config
 
 SEEDS = range(4)
@@ -58,3 +60,19 @@ def test_two_robots_are_told_apart_by_their_logs(other: dict[str, float]) -> Non
     message = refusal(mixed)
     assert all(", ".join(log.name for log in group) in message for group in (logs(), second))
     assert message.endswith(two_cars(mixed))
+
+
+@pytest.mark.parametrize(
+    ("right", "said", "to_drive"),
+    [(1.0, "hardly differ", "turns to both sides"), (-1.0, "hardly differ but for their sign", "straight drives")],
+)
+def test_sides_that_are_never_commanded_apart_are_said(right: float, said: str, to_drive: str) -> None:
+    """Neither the track nor the gain follows from straight drives, or from turns on the spot, alone."""
+    alike = [
+        replace(log, parts=tuple(replace(p, commands=p.commands[:, [0, 0]] * [1.0, right]) for p in log.parts))
+        for log in logs()
+    ]
+    with pytest.raises(InputError) as error:
+        check_controls(alike, SteeringInMotion.of(alike))
+    assert str(error.value) == f"logs: have commands of left and right that {said}; expected {to_drive} too"
+    check_controls(logs(), SteeringInMotion.of(logs()))
