@@ -454,9 +454,9 @@ class StructureSearch:
         best = best_of(path)
         return len(path) > WORSE_MAX and not any(may_be_near(s, best) for s in path[-WORSE_MAX:])
 
-    def alike(self, other: Structure) -> Structure:
-        """The structure with the terms of one of another model, as far as this model has them."""
-        terms = tuple(name for name in other.terms if name in self.candidates)
+    def alike(self, other: Structure, *more: str) -> Structure:
+        """The structure with the terms of one of another model, as far as this model has them, and with `more`."""
+        terms = tuple(name for name in (*other.terms, *more) if name in self.candidates)
         graph, before = self.graph(terms), other.graph.problem.parameters
         p = graph.problem.parameters
         known = dict(zip(before.names, other.optimum.point.rho, strict=True))

@@ -30,6 +30,7 @@ from kraft.sysid.selection import (
 )
 from kraft.sysid.structure import HORIZON_SHARES, StructureSearch
 from kraft.sysid.structure_choice import CLEARLY_WORSE, NEGLIGIBLE_LOSS, Structure, best_of, chosen, is_near
+from kraft.sysid.tracked_side import search_with_side
 from kraft.vehicles.config import VehicleConfig
 from ompl_ext.arrays import Floats
 from ompl_ext.vehicle import Vehicle
@@ -74,10 +75,13 @@ def identify_terms(
     usable, settings, held = _prepared(vehicle, logs, settings or Settings())
     steered = SteeringInMotion.of(usable)
     search = StructureSearch(vehicle, usable, settings, on_iteration)
-    found = searched(search)
+    every = search.full()
+    wider = search_with_side(search, every, usable, on_iteration) if steered.both_sides else search
+    found = searched(search, every) if wider is search else searched(wider)
+    settings = wider.settings
     if simpler is not None and steered.changes:
         other = StructureSearch(simpler, usable, settings, on_iteration)
-        other.growth, other.variation = search.growth, search.variation
+        other.growth, other.variation = wider.growth, wider.variation
         other.goes_on(found.final)
         alike = other.alike(found.best)
         own = StructureSearch(simpler, usable, settings, on_iteration)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from kraft.config.source import Source
 from kraft.errors import InputError
@@ -17,6 +18,7 @@ from kraft.sysid.parameters import is_unknown_to_planning, without_bounds
 from kraft.sysid.screening import two_cars
 from kraft.sysid.selection import excluded_for_planning
 from kraft.sysid.terms import has_terms
+from kraft.sysid.tracked_side import SIDE
 from kraft.sysid.unexplained import Stretch
 from kraft.sysid.vehicle_file import written_footprint
 from kraft.text import counted
@@ -46,6 +48,7 @@ def annotated(
             *odd_log_warning(fit.evaluation),
             *_of_leaning_floor(split, fit.base),
             *_unknown_to_planning(request, identification),
+            *beside_the_middle(request.out, identification),
             *uncovered_robot(request, base, identification.parameters),
         ),
         notes=(
@@ -160,6 +163,20 @@ def _not_planned_with(identification: Identification) -> list[str]:
         for name in identification.auxiliary
         if is_unknown_to_planning(name) and not identification.parameters[name].is_zero
     ]
+
+
+def beside_the_middle(out: Path | None, identification: Identification) -> tuple[str, ...]:
+    """The warning that the tracked point is beside the middle of the vehicle, which no vehicle file states."""
+    if SIDE not in identification.auxiliary or identification.parameters[SIDE].is_zero:
+        return ()
+    side = identification.parameters[SIDE].value
+    where = "the vehicle file" if out is None else str(out)
+    hand = "left" if side > 0.0 else "right"
+    return (
+        f"the tracked point is {abs(side):.3f} m to the {hand} of the middle of the vehicle, and planning and driving "
+        f"take it for the middle: move the marker there, or state a footprint that is {2.0 * abs(side):.3f} m wider in "
+        f"{where}",
+    )
 
 
 def _preview_note(request: SysidRequest, identification: Identification) -> tuple[str, ...]:
