@@ -139,6 +139,12 @@ def timeout_cause(
     lost = sum(not cycle.delivered for cycle in late)
     if 2 * lost > len(late):
         return Cause(kind=CauseKind.MESSAGE_LOST, text=f"the messages of {lost} {of} were lost")
+    watched = [step.watchdog for step in steps if step.time >= since]
+    if 2 * sum(watched) > len(watched):
+        reason = next((cycle.reason for cycle in reversed(late) if cycle.reason), "poses or messages came too late")
+        text = f"the watchdog had stopped the car for {sum(watched) / len(watched):.0%} of the last"
+        text += f" {end - max(since, 0.0):.3g} s: {reason}"
+        return Cause(kind=CauseKind.MESSAGE_LOST, text=text)
     missed = sum(cycle.missed for cycle in late) if realtime else 0
     if 2 * missed > len(late):
         return Cause(kind=CauseKind.DEADLINE_MISSED, text=f"planning for {missed} {of} took too long")

@@ -143,6 +143,14 @@ def test_a_watchdog_that_stopped_the_car_is_a_lost_message() -> None:
     assert collided([cycle(0), cycle(1)], [*before, replace(last, watchdog=True)]) == CauseKind.MESSAGE_LOST
 
 
+def test_a_car_that_the_watchdog_stopped_most_of_the_time_is_not_said_to_be_slow() -> None:
+    cycles, ticks = [cycle(k) for k in range(30)], steps(30.0)
+    mostly = [replace(tick, watchdog=int(10.0 * tick.time) % 10 < 6) for tick in ticks]
+    rarely = [replace(tick, watchdog=int(10.0 * tick.time) % 10 < 4) for tick in ticks]
+    assert timed_out(cycles, mostly) == CauseKind.MESSAGE_LOST
+    assert timed_out(cycles, rarely) == CauseKind.TOO_SLOW
+
+
 def test_an_estimate_of_a_later_time_is_compared_with_the_pose_at_that_time() -> None:
     errors = estimate_errors(steps(3.0, ahead=0.2), FOOTPRINT, POSE)
     assert max(errors) == pytest.approx(0.0, abs=1e-9)
