@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import typer
 
+from kraft.config.user_code import failure_in_code
 from kraft.errors import Code, Defect, Diagnostic, InputError, KraftError, MissingError, NegativeResult, Unreachable
 from kraft.files import EXPECTED
 from kraft_cli.exit_status import ExitStatus
@@ -114,6 +115,8 @@ def _explained(terminal: Terminal, error: Exception) -> ExitStatus:
         if isinstance(error, NegativeResult):
             return _negative(terminal, error)
         return ExitStatus.MISSING if isinstance(error, MissingError) else ExitStatus.INTERNAL
+    if (failure := failure_in_code(error)) is not None:
+        return _explained(terminal, failure)
     terminal.error(f"this is a defect in kraft: {type(error).__name__}: {error}")
     _explain_causes(terminal, error)
     if not terminal.traceback:

@@ -14,12 +14,14 @@ from types import ModuleType
 from typing import Final
 
 import ompl_ext
-from kraft.errors import Code, InputError
+from kraft.errors import Code, Diagnostic, InputError, UserCodeError
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*\Z")
 _FILE = re.compile(r"(?P<file>.+\.py)(:(?P<attribute>[A-Za-z_]\w*))?\Z", re.DOTALL)
 _OURS: Final = Path(__file__).parents[1], Path(ompl_ext.__file__).parent
 _INSTALLED: Final = tuple(Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib"))
+_imported: Final[set[Path]] = set()
+"""Files of the user's modules that this process has imported by a reference."""
 
 
 def is_attribute(text: str) -> bool:
@@ -49,8 +51,12 @@ def imported(reference: str, subject: str, expected: str) -> tuple[ModuleType, s
     code = split_file(reference)
     if code is None:
         name, _, attribute = reference.partition(":")
-        return _import(name, subject, expected), attribute
-    return _import_file(Path(code[0]), subject, expected), code[1]
+        module = _import(name, subject, expected)
+    else:
+        module, attribute = _import_file(Path(code[0]), subject, expected), code[1]
+    if module.__file__ and not _is_within(module.__file__, _OURS):
+        _imported.add(Path(module.__file__).resolve())
+    return module, attribute
 
 
 def _import(name: str, subject: str, expected: str) -> ModuleType:
@@ -113,6 +119,25 @@ def line_of(error: BaseException) -> tuple[str, int] | None:
     theirs = [f for f in frames if "importlib" not in f.filename and not _is_within(f.filename, _OURS)]
     own = [frame for frame in theirs if not _is_within(frame.filename, _INSTALLED)] or theirs
     return (own[-1].filename, own[-1].lineno or 1) if own else None
+
+
+def failure_in_code(error: BaseException) -> UserCodeError | None:
+    """Error with the file and line in the user's code that an exception was raised in; None if it was raised elsewhere.
+
+    The user's code is what `imported` has imported, and files beside it: compiled functions of a vehicle raise where
+    no caller expects it.
+    """
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if _is_own(Path(frame.filename).resolve())]
+    if not own:
+        return None
+    expected = "expected code that returns numbers for every state and control"
+    return UserCodeError([Diagnostic(own[-1].filename, described(error), expected, own[-1].lineno, code=Code.CODE)])
+
+
+def _is_own(file: Path) -> bool:
+    beside = {each.parent for each in _imported} - {*_INSTALLED, *_OURS}
+    return file in _imported or file.parent in beside
 
 
 def _is_within(file: str, folders: tuple[Path, ...]) -> bool:

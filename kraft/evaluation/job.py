@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Final, Protocol, TypeAlias
 
+from kraft.config.user_code import failure_in_code
 from kraft.driving.method import Method
 from kraft.errors import InputError, MissingDependency, MissingError, UserCodeError
 from kraft.evaluation.journal import Key, TrialRow, trial_row
@@ -43,7 +44,7 @@ class Job:
 def perform(job: Job) -> TrialRow:
     """Run a trial and reduce it to its row; any other exception than those below is recorded as a failed trial.
 
-    So is an error of a user's own controller.
+    So is an error of a user's own controller or vehicle.
 
     Raises:
         InputError: if the scenario, method or vehicle is refused, which concerns the other trials too.
@@ -59,7 +60,9 @@ def perform(job: Job) -> TrialRow:
         return failed_row(job, str(error), own_code=True)
     except (InputError, MissingError):
         raise
-    except Exception as error:  # a defect: recorded, and the other trials go on
+    except Exception as error:  # of the user's vehicle, or a defect: recorded, and the other trials go on
+        if (failure := failure_in_code(error)) is not None:
+            return failed_row(job, str(failure), own_code=True)
         place = traceback.extract_tb(error.__traceback__)[-1]
         return failed_row(job, f"{type(error).__name__}: {error} ({place.filename}:{place.lineno})")
 

@@ -148,7 +148,7 @@ def _print_results(terminal: Terminal, evaluation: Evaluation, json: bool) -> Ex
     if not failed:
         return ExitStatus.DONE
     defects = any(row.is_defect for row in failed)
-    own = "because of an error in the controller's own code; mend it, and evaluate its method in another folder"
+    own = "because of an error in the user's own code; mend it, and evaluate it in another folder"
     why = "which is a defect in kraft" if defects else own
     terminal.error(f"{len(failed)} of {counted(len(evaluation.rows), 'trial')} failed, {why}")
     return ExitStatus.INTERNAL if defects else ExitStatus.INVALID

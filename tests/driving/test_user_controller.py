@@ -288,7 +288,7 @@ def test_a_trial_that_it_fails_in_is_recorded_and_a_change_of_the_code_is_notice
     line = next(n for n, text in enumerate(CONTROLLERS.splitlines(), 1) if "estimate.speed" in text)
     said = capsys.readouterr().err
     assert f"{file}:{line}: AttributeError: 'Estimate' object has no attribute 'speed'" in said
-    assert "because of an error in the controller's own code" in said
+    assert "because of an error in the user's own code" in said
     file.write_text(CONTROLLERS + "\n# changed\n")
     assert main([*arguments, "--resume"]) == 2
     assert "methods.own.content.controller.code_sha256" in capsys.readouterr().err

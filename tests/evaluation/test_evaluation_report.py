@@ -19,6 +19,7 @@ from support.evaluation import StoppingObserver, places, refused, room_for
 from support.html import Tags, text_of
 from support.paths import ROOT
 
+from kraft.config.user_code import imported
 from kraft.errors import Code, InputError, UserCodeError
 from kraft.evaluation import Evaluation, evaluate
 from kraft.evaluation.report import Results, page, read_results, write_report
@@ -190,11 +191,24 @@ def test_trials_that_the_users_own_code_ended_are_no_defects_and_their_error_is_
     evaluate(["turns"], ["kraft"], trials=3, seed=0, out="out")
     written = Path("out/report.html").read_text(encoding="utf-8")
     text = text_of(Tags(written))
-    assert "2 trials failed, because of an error in the controller's own code" in text
+    assert "2 trials failed, because of an error in the user's own code" in text
     assert "2 failed" in text
     assert "2 trials: own.py:7: has no gain; expected a number" in text
     assert "2 defects" not in written
     assert '<a href="#show&amp;method=kraft&amp;cause=error+in+own+code">2</a>' in written
+
+
+def test_trials_that_the_users_own_vehicle_ended_are_no_defects(monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("own.py").write_text("def half(x):\n    return 1 / x\n", encoding="utf-8")
+
+    def own_vehicle_fails(spec: TrialSpec) -> TrialResult:
+        imported("own.py", "own.py", "")[0].half(0.0)
+        return fake_trials.quick(spec)
+
+    fake_trials.use(monkeypatch, own_vehicle_fails, inline=True)
+    (row,) = evaluate(["turns"], ["kraft"], trials=1, seed=0, out="out").rows
+    assert row.own_code
+    assert "own.py:2: ZeroDivisionError" in (row.error or "")
 
 
 def test_trials_that_take_no_time_and_never_deviate_give_a_page(monkeypatch: pytest.MonkeyPatch) -> None:

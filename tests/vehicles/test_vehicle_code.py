@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,12 +14,14 @@ import pytest
 from support.diagnostics import located, raised
 from support.paths import ROOT
 
+from kraft.config.user_code import failure_in_code, imported
 from kraft.errors import Code
 from kraft.planning.workspace import vehicle_of_task
 from kraft.scenario import load_scenario, parse_scenario
 from kraft.vehicles.load import RecordedVehicle, load_vehicle
 from kraft.vehicles.mushr import MUSHR
 from kraft.vehicles.true_robot import RobotTruth
+from kraft_cli.main import main
 from ompl_ext.vehicle import OpenLoopErrors
 
 EXAMPLE = ROOT / "examples" / "05_vehicle.py"
@@ -49,6 +52,32 @@ SCENE = (
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+def test_a_derivative_that_raises_only_in_motion_is_the_error_of_its_line(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    moving = CODE.replace("    return ", "    if x[3] > 0.3:\n        raise ValueError('too fast')\n    return ")
+    (folder / "own.py").write_text(moving, encoding="utf-8")
+    assert main(["plan", "turns", "--vehicle", "own.py:CAR"]) == 2
+    said = capsys.readouterr().err
+    line = 1 + moving[: moving.index("raise")].count("\n")
+    assert f"own.py:{line}: ValueError: too fast" in said
+    assert "defect" not in said
+
+
+def test_only_errors_that_the_users_code_has_raised_are_errors_of_that_code(folder: Path) -> None:
+    (folder / "own.py").write_text("def half(x):\n    return 1 / x\n", encoding="utf-8")
+    module, _ = imported("own.py", "own.py", "")
+    with pytest.raises(ZeroDivisionError) as theirs:
+        module.half(0)
+    found = failure_in_code(theirs.value)
+    assert found is not None
+    assert [(Path(d.file).name, d.line, d.code) for d in found.diagnostics] == [("own.py", 2, Code.CODE)]
+    load_vehicle("mushr")  # is imported by a reference too, from kraft
+    with pytest.raises(ValueError, match="math domain error") as ours:
+        math.sqrt(-1.0)
+    assert failure_in_code(ours.value) is None
 
 
 def test_the_example_is_about_ten_lines_and_a_vehicle() -> None:

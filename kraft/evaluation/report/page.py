@@ -88,7 +88,7 @@ def _head(results: Results) -> Iterator[Content]:
     failed = results.summary.failed
     if failed:
         defects = any(row.is_defect for row in results.rows.values())
-        why = "which is a defect in kraft" if defects else "because of an error in the controller's own code"
+        why = "which is a defect in kraft" if defects else "because of an error in the user's own code"
         text = f"{counted(failed, 'trial')} failed, {why}: none counts as a success."
         yield element("p", text, class_="alarm")
     for text in results.manifest.warnings:
