@@ -65,7 +65,11 @@ def test_the_car_reaches_the_goal_and_everything_is_written(tmp_path: Path, tran
     (log,) = read_logs(folder).logs
     assert log.duration > 0.8 * driven["t_s"]
     (by_bag,) = read_logs(bag).logs
-    np.testing.assert_allclose(by_bag.parts[0].commands[:100], log.parts[0].commands[:100], atol=1e-6)
+    sent, logged = by_bag.parts[0].commands[:100], log.parts[0].commands[:110]
+    if (folder / "guard.csv").exists():  # the commands of controller and guard may be logged in another order
+        assert np.isclose(sent[:, None], logged[None], rtol=0.0, atol=1e-6).all(axis=2).any(axis=1).all()
+    else:
+        np.testing.assert_allclose(sent, logged[:100], atol=1e-6)
     with bag.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         topics = {channel.topic for _, channel, _, _ in reader.iter_decoded_messages()}
