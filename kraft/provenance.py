@@ -29,7 +29,7 @@ IDENTIFICATION: Final = ("gtsam", "numba", "numpy", "scipy")
 MISSING: Final = object()
 """Stands for a value that is absent."""
 
-_TOLD: Final = 200
+_REPEATED_MAX: Final = 200
 """Longest text of two lists that are not equally long to repeat whole, characters."""
 
 
@@ -102,7 +102,7 @@ def differences(was: Any, now: Any, path: tuple[str, ...] = ()) -> Iterator[tupl
 
 
 def _are_comparable_lists(was: Any, now: Any) -> bool:
-    """Whether two values are lists of as many mappings or lists; coordinates are told together."""
+    """Whether two values are lists of as many mappings or lists; coordinates are compared together."""
     both = [was, now]
     if not all(isinstance(value, list) for value in both) or len(was) != len(now):
         return False
@@ -115,7 +115,12 @@ def difference_text(was: Any, now: Any) -> str:
         return f"was absent, is {_json(now)} now"
     if now is MISSING:
         return f"was {_json(was)}, is absent now"
-    if isinstance(was, list) and isinstance(now, list) and len(was) != len(now) and len(_json([was, now])) > _TOLD:
+    if (
+        isinstance(was, list)
+        and isinstance(now, list)
+        and len(was) != len(now)
+        and len(_json([was, now])) > _REPEATED_MAX
+    ):
         return f"was a list of {counted(len(was), 'item')}, is one of {len(now)} now"
     return f"was {_json(was)}, is {_json(now)} now"
 

@@ -94,7 +94,7 @@ class SafetyCheck:
         """The decision for the cycle: the proposed plan, one like it that is slower, or a contingency."""
         plan = proposal.plan
         if plan is None:
-            return self._choose_contingency(start, plan, proposal.reason)
+            return self._choose_contingency(start, None, proposal.reason)
         if start.number > 0 and start.age > self._settings.patience:
             old = math.isfinite(start.age)
             reason = f"the newest observation is {start.age:.2f} s old" if old else "no observation has arrived"

@@ -15,7 +15,7 @@ import numpy as np
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.sysid import sides_response
-from kraft.sysid.log_groups import RIDGE, Response, groups_problem
+from kraft.sysid.log_groups import RIDGE, Response, Samples, groups_problem
 from kraft.sysid.log_motion import SPAN, STEP, SWEEPS, LogMotion, are_of_cars, followed, motions, sums_of
 from kraft.sysid.sides_response import drive_samples, motions_of_sides, responses_of_sides, turn_samples
 from ompl_ext.arrays import Floats, Matrix
@@ -167,15 +167,17 @@ def _car_error(found: Sequence[LogMotion], delay: float, *, swapped: bool = Fals
 
 def _turn_error(found: Sequence[LogMotion], delay: float) -> float:
     """Share of the change of the turning rate that the commands of both sides do not explain."""
-    samples = [turn_samples(m, delay) for m in found]
-    return unexplained(np.concatenate([terms for terms, _ in samples]), np.concatenate([y for _, y in samples]))
+    return _unexplained_by([turn_samples(m, delay) for m in found])
 
 
 def _side_error(found: Sequence[LogMotion], delay: float) -> float:
     """Sum of both shares that the commands of both sides leave unexplained."""
-    samples = [drive_samples(m, delay) for m in found]
-    drive = unexplained(np.concatenate([terms for terms, _ in samples]), np.concatenate([y for _, y in samples]))
-    return _turn_error(found, delay) + drive
+    return _turn_error(found, delay) + _unexplained_by([drive_samples(m, delay) for m in found])
+
+
+def _unexplained_by(samples: Samples) -> float:
+    """Share of a motion that its terms leave unexplained in all parts together."""
+    return unexplained(np.concatenate([terms for terms, _ in samples]), np.concatenate([y for _, y in samples]))
 
 
 Error = Callable[[float], float]
