@@ -280,12 +280,13 @@ class AdaptiveEstimator:
     def _set_slope(self, learned: Learned) -> None:
         """Take the slope of the floor as what force and poses tell of it.
 
-        The floor stays as it is: a force that has changed has another cause, such as a box that the vehicle pushes.  So
-        what the drive showed before the window counts as well.
+        The floor stays as it is: a force that has changed has another cause, such as a box that the vehicle pushes, so
+        the force before the change counts.  What the drive showed before the window counts as well.
         """
         found = learned.identified
         begin, end = float(found.times[0]), float(found.times[-1])
-        told = slope_told(self._window.parameters, found.constant, found.constant_covariance, learned.passing_force)
+        before = found.before
+        told = slope_told(self._window.parameters, before.mean, before.covariance, learned.passing_force)
         mean, covariance = self._slope_of_drive.update(begin, end, *told)
         slope = possible(mean)
         error = GRAVITY_SHARE_ERROR * float(np.linalg.norm(slope))

@@ -47,30 +47,37 @@ INFORMATIVE: Final = 0.3
 
 
 @dataclass(frozen=True)
+class Gaussian:
+    """Distribution of rho: mean (np,) and covariance (np, np)."""
+
+    mean: Floats
+    covariance: Matrix
+
+
+@dataclass(frozen=True)
 class Identified:
     """Posterior of rho: mean (np,) and covariance (np, np); `residuals` (n, 3) of the poses at `times` (n,) s.
 
     Residuals are in the directions and units of their noise: along and across the line of sight of a known camera.
 
-    `constant` (np,) with `constant_covariance` (np, np) is the posterior if no parameter has changed in the window.
+    `before` is the posterior of what rho was before a parameter changed in the window.
     """
 
     rho: Floats
     covariance: Matrix
     times: Floats
     residuals: Matrix
-    constant: Floats
-    constant_covariance: Matrix
+    before: Gaussian
 
 
 @dataclass(frozen=True)
 class _Change:
-    """Change of a parameter at `begin` (s): its `significance`, in standard deviations, and rho after it."""
+    """Change of a parameter at `begin` (s): its `significance`, in standard deviations, and rho before and after it."""
 
     begin: float
     significance: float
-    rho: Floats
-    covariance: Matrix
+    before: Gaussian
+    after: Gaussian
 
 
 class SlidingWindow:
@@ -79,7 +86,8 @@ class SlidingWindow:
     rho is taken as constant in the window, except for one parameter of the model that may have changed once: the
     parameter and the time whose score is the most significant.  The times that are tried are `RECENT` s of motion ago,
     and the one that the last updates found.  The change is estimated with what the motion before it tells of all
-    others, and shrunk by its significance, as in the estimator of James and Stein.  Lengths of the vehicle stay.
+    others, and shrunk by its significance, as in the estimator of James and Stein.  Lengths of the vehicle stay.  What
+    rho was before the change takes it in full: of the parameter that has changed, only the motion before tells.
     """
 
     def __init__(
@@ -152,8 +160,8 @@ class SlidingWindow:
         covariance = np.zeros_like(optimum.factors.total_information)
         covariance[square] = np.linalg.inv(optimum.factors.total_information[square])
         times = np.concatenate([s.part.pose_times[s.poses] for s in segments])
-        found = self._with_change(graph, moving, noise, covariance)
-        return Identified(*found, times, -graph.pose_residuals, self.rho.copy(), covariance)
+        before, now = self._with_change(graph, moving, noise, covariance)
+        return Identified(now.mean, now.covariance, times, -graph.pose_residuals, before)
 
     def _with_change(
         self,
@@ -161,8 +169,8 @@ class SlidingWindow:
         moving: Sequence[tuple[float, float]],
         noise: Callable[[float], Noise],
         covariance: Matrix,
-    ) -> tuple[Floats, Matrix]:
-        """Rho and its covariance after the most significant change; those of the window if none is significant.
+    ) -> tuple[Gaussian, Gaussian]:
+        """Rho before and after the most significant change; if none is significant, twice that of the window.
 
         `graph` is that of the window, linearised at its optimum.
         """
@@ -174,7 +182,8 @@ class SlidingWindow:
             if best is None or change.significance > best.significance:
                 best = change
         self._changed_at = None if best is None else best.begin
-        return (self.rho.copy(), covariance) if best is None else (best.rho, best.covariance)
+        constant = Gaussian(self.rho.copy(), covariance)
+        return (constant, constant) if best is None else (best.before, best.after)
 
     def _change(
         self,
@@ -235,13 +244,14 @@ class SlidingWindow:
             return None
         total = variance[k] + (CHANGE_STD * self.parameters.std[k]) ** -2.0
         share = 1.0 - (SIGNIFICANT / significance[k]) ** 2
-        direction = -covariance @ information[:, k]
-        direction[k] += 1.0
-        direction[~self.parameters.free] = 0.0
-        changed = self.parameters.within_bounds(rho - share * gradient[k] / total * direction)
-        return _Change(
-            begin, float(significance[k]), changed, covariance + share / total * np.outer(direction, direction)
-        )
+        others = np.where(self.parameters.free, -covariance @ information[:, k], 0.0)
+
+        def moved(along: Floats, share: float) -> Gaussian:
+            mean = self.parameters.within_bounds(rho - share * gradient[k] / total * along)
+            return Gaussian(mean, covariance + share / total * np.outer(along, along))
+
+        after = others + (np.arange(len(rho)) == k)
+        return _Change(begin, float(significance[k]), moved(others, 1.0), moved(after, share))
 
     def _noise_model(self, noise: Noise) -> NoiseModel:
         return NoiseModel(noise, self._process, self._control, self._threshold)
