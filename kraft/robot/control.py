@@ -125,6 +125,17 @@ class ControlLoop:
             elif self._is_over_without_time():
                 break
             number = max(number + 1, math.floor(self._now / self.period) + 1)
+        return self._ended()
+
+    def failed(self, failure: UserCodeError) -> Ended:
+        """End because the user's code raised an error; the brake guard, which is not told of it, stops the vehicle."""
+        self._own_code = True
+        if self._ending is None:
+            self._ending, self._ended_at = ("stopped", f"the brake guard stops the vehicle: {failure}"), self._now
+        return self._ended()
+
+    def _ended(self) -> Ended:
+        """What the drive was, for the planner's process."""
         self._alive = False
         assert self._ending is not None, "only then it ends"
         outcome, reason = self._ending
@@ -134,18 +145,10 @@ class ControlLoop:
             "decision_ms": 1000 * self._requests.median_delay,
         }  # fmt: skip
         self._event(self._ended_at, f"{outcome}: {reason}" if reason else outcome)
-        refused = dict(self._tracker.poses.refused)
         return Ended(
-            outcome,
-            reason,
-            self._ended_at,
-            measures,
-            refused,
-            self._stops,
-            self._sensed(),
-            self._tables.problem,
-            self._own_code,
-        )
+            outcome, reason, self._ended_at, measures, dict(self._tracker.poses.refused), self._stops, self._sensed(),
+            self._tables.problem, self._own_code,
+        )  # fmt: skip
 
     @property
     def _now(self) -> float:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Final
 
+from kraft.config.user_code import failure_in_code
 from kraft.errors import KraftError
 from kraft.robot.checklist import Checklist
 from kraft.robot.connect import open_transport
@@ -66,9 +67,17 @@ def run_control(
             _wait_for_guard(spec, transport, guard_mail, before)
             health = Health(spec.robot.watchdog, min(found.pose_rate, spec.robot.pose.rate_hz), spec.period)
             with DriveTables(spec.folder, headings(spec.vehicle)) as tables:
-                ended = ControlLoop(spec, transport, inputs, tasks, mailbox, guard_mail, tables, tracker, health).run()
-                released = guard_mail.send(Released())  # before the tables are written, which may take long
-            released.wait(1.0)
+                loop = ControlLoop(spec, transport, inputs, tasks, mailbox, guard_mail, tables, tracker, health)
+                released = None
+                try:
+                    ended = loop.run()
+                    released = guard_mail.send(Released())  # before the tables are written, which may take long
+                except Exception as error:  # the functions of a user's vehicle raise anywhere
+                    if (failure := failure_in_code(error)) is None:
+                        raise
+                    ended = loop.failed(failure)
+            if released is not None:
+                released.wait(1.0)
             mailbox.send(replace(ended, unwritten=tables.problem)).wait(REPORT_TIME)
     finally:
         transport.close()

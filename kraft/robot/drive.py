@@ -16,6 +16,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from kraft.config.user_code import failure_in_code
 from kraft.driving.control import needs_map
 from kraft.driving.estimator_settings import Oracle
 from kraft.driving.messages import Cycle, ReferenceKind
@@ -354,10 +355,11 @@ def _tell_decision(decided: _Decided, cycles: CycleFile, tell: _Callbacks) -> No
 
 
 def _stop_or_raise(error: BaseException, send: Callable[[Any], None], *, drives: bool) -> None:
-    """Stop a vehicle that drives because of an error of the user's code; raise any other error."""
-    if not isinstance(error, UserCodeError) or not drives:
+    """Stop a vehicle that drives because of an error in the user's code; raise any other error."""
+    own = error if isinstance(error, UserCodeError) else failure_in_code(error)
+    if own is None or not drives:
         raise error
-    send(PlannerFailed(str(error)))
+    send(PlannerFailed(str(own)))
 
 
 def _messages(here: Connection, process: BaseProcess, thread: PlannerThread, watch: OwnCodeWatch) -> Iterator[Any]:
