@@ -3,6 +3,10 @@
 With a known dead zone the change of the speed over a span is linear in drive and losses, which have one best value.  A
 speed controller that limits the acceleration is not, and its limit has no effect on a fit that begins beyond it: a
 second regression begins at several limits, round ones first, which have an effect before they are reached.
+
+The speed of a car with a quick controller follows the throttle within the delay of the commands, which no regression
+knows.  Its changes then seem slow, and a limit of the acceleration explains them as well; a fit that begins beyond the
+limit does not learn the drive.  For such a car the steady speed over the throttle gives values without a limit.
 """
 
 from __future__ import annotations
@@ -40,6 +44,12 @@ OUTLIER: Final = 0.05
 """Change of the speed that is not explained from which on it counts less, m/s."""
 CLEARLY_BETTER: Final = 0.9
 """Loss of the second regression over that of the first up to which its values are worth a fit."""
+FOLLOWING: Final = (2.0, 5.0, 10.0, 20.0)
+"""Dampings that are tried of a car whose speed follows the throttle, 1/s."""
+FOLLOWING_MAX: Final = 10.0
+"""Loss of these values over that of the first regression from which on the speed does not follow the throttle.
+
+That of cars whose speed does is up to 5, since the regression knows no delay; of others it is 18 and more."""
 LIMITED: Final = (
     "a_drive", "damping", "neutral_damping", "friction", "drag", "scrub", "back_emf", "brake", "dead_zone", "effort",
 )  # fmt: skip
@@ -104,11 +114,14 @@ def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, me
         return []
     linear = _linear(samples)
     limited = _limited(samples, linear)
-    both = [{**linear, "effort": 1.0 / samples.largest}]
-    losses = [_loss(_residual(samples, values)) for values in (limited, _as_limited(linear))]
+    following = _following(samples)
+    found = [{**linear, "effort": 1.0 / samples.largest}]
+    losses = [_loss(_residual(samples, values)) for values in (limited, _as_limited(linear), following)]
     if losses[0] < CLEARLY_BETTER * losses[1]:
-        both.insert(0, dict(zip(LIMITED, map(float, limited), strict=True)))
-    return [_with_coast(values) for values in both]
+        found.insert(0, dict(zip(LIMITED, map(float, limited), strict=True)))
+    if losses[2] < FOLLOWING_MAX * losses[1]:
+        found.append(dict(zip(LIMITED, map(float, following), strict=True)))
+    return [_with_coast(values) for values in found]
 
 
 def _samples(parameters: Parameters, chains: Chains, data: SmoothedPoses, mean: Matrix) -> _Samples:
@@ -159,6 +172,17 @@ def _limited(samples: _Samples, linear: dict[str, float]) -> Floats:
     for power in POWERS:
         values = _regressed(samples, values, power, EVALUATIONS)
     return values
+
+
+def _following(samples: _Samples) -> Floats:
+    """Values of `LIMITED` (10,) of a car whose speed follows the throttle, with the best of some dampings."""
+    u, v = samples.throttle, samples.speed
+    gain = float(u @ v) / max(float(u @ u), 1e-9)
+    free = dict.fromkeys(LIMITED, 0.0) | {"brake": 1.0}
+    tried = [
+        np.array(list((free | {"a_drive": d * gain, "damping": d, "neutral_damping": d}).values())) for d in FOLLOWING
+    ]
+    return min(tried, key=lambda values: _loss(_residual(samples, values)))
 
 
 def _regressed(samples: _Samples, first: Floats, power: int, evaluations: int) -> Floats:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from support.cars import TRUTH, car, drive
 
+from benchmarks.synthetic_logs import synthetic_logs
+from kraft.logs.log import Log
 from kraft.sysid import Settings, drive_regression, prediction_errors, unexplained
 from kraft.sysid.log_motion import reverses
 from kraft.sysid.structure import StructureSearch
@@ -56,6 +59,28 @@ def test_a_limit_that_hides_the_drive_is_found(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(drive_regression, "CLEARLY_BETTER", 0.0)
     hidden = identify_terms(car_file(), logs).identification
     assert hidden.values["effort"] != pytest.approx(0.58, rel=0.05)
+
+
+def test_the_drive_of_a_car_whose_speed_follows_the_throttle_soon_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its changes of speed, most of them within the delay, look like those of a limited acceleration."""
+    truth = {"a_drive": 3.8, "damping": 10.0, "friction": 0.0, "dead_zone": 0.0, "back_emf": 0.0, "drag": 0.0,
+             "understeer": 0.0, "slide": 0.0, "slip": 0.0, "steer": 0.18, "delay": 0.11}  # fmt: skip
+    throttles, rng = (0.75, 0.875, 1.0), np.random.default_rng(1)
+    levels = [[(throttle, steering)] * 3 for steering in (-1.0, -0.5, 0.0, 0.5, 1.0) for throttle in throttles]
+    levels += [[(rng.choice(throttles), 0.0) for _ in range(3)] for _ in range(8)]
+    levels += [[(throttle, rng.choice([-1.0, 0.0, 1.0])) for _ in range(3)] for throttle in throttles * 4]
+    commands = [(np.array([0.02, 1.0, 2.0]), np.array(each)) for each in levels]
+    logs = synthetic_logs(
+        car_file(), truth, range(len(levels)), seconds=3.0, noise=(0.003, 0.002), rate=40.0, commands=commands
+    )
+    assert errors_of_all_terms(car_file(), logs) < 0.005
+    monkeypatch.setattr(drive_regression, "FOLLOWING_MAX", 0.0)
+    assert errors_of_all_terms(car_file(), logs) > 0.03
+
+
+def errors_of_all_terms(vehicle: VehicleConfig, logs: list[Log]) -> float:
+    """Mean error after 2 s of a fit of all terms, m."""
+    return float(np.nanmean(StructureSearch(vehicle, logs, Settings(), lambda *_: None).full().errors[:, 1]))
 
 
 def test_the_time_that_a_speed_controller_takes_is_no_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:
