@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import queue
+import sys
 import threading
 import time as clock
 from multiprocessing.connection import Connection
@@ -195,11 +196,17 @@ class _Sender:
         return self._bag
 
     def _open(self) -> Transport | None:
-        """Transport with the topics announced; None if nothing is sent."""
+        """Transport with the topics announced; None if nothing is sent, or nobody answers: the bag goes on without."""
         if not self._root:
             return None
         if self._transport is None:
-            self._transport = open_transport(self._spec.robot)
+            try:
+                self._transport = open_transport(self._spec.robot)
+            except (OSError, KraftError) as error:
+                self._root = ""  # asked once: a bag does not wait in every cycle for an address that does not answer
+                bag = "" if self._bag_path is None else "; the bag is written all the same"
+                print(f"kraft display: plans are not shown: {error}{bag}", file=sys.stderr, flush=True)
+                return None
             for name, kind in KINDS.items():
                 self._transport.advertise(f"{self._root}/{name}", kind)
             for _, topic, message in scene(self._spec.task, clock.time_ns(), self._frames.map):

@@ -21,6 +21,9 @@ from kraft.logs.reader import read_logs
 from kraft.recording.recorder import Recorder, write_recording
 from kraft.robot.bag import EPOCH, BagWriter, scene, write_recording_bag, write_trial
 from kraft.robot.display import occupancy_grid
+from kraft.robot.protocol import DriveSpec, Sense
+from kraft.robot.robot_file import Rosbridge, load_robot
+from kraft.robot.show import Display
 from kraft.scenario import OccupancyMap, load_scenario, parse_scenario
 from kraft.sysid import identify
 from kraft.trial.result import TrialResult, TrialSpec
@@ -234,3 +237,24 @@ def test_of_a_bag_that_ends_early_what_is_written_stays_if_it_shall(tmp_path: Pa
                 "/map",
                 "/markers/scene",
             }
+
+
+def test_the_bag_of_a_drive_is_complete_where_nobody_receives_what_is_displayed(
+    tmp_path: Path, driven: tuple[TrialSpec, TrialResult], capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A display that starts late, or whose rosbridge is gone, finds nobody; the bag was cut at the first cycle."""
+    spec, result = driven
+    robot = load_robot("sim").model_copy(update={"transport": Rosbridge(kind="rosbridge", url="ws://127.0.0.1:9")})
+    drive = DriveSpec(spec.scenario.task(), spec.method, spec.vehicle, robot, timeout=60.0)
+    ticks = tuple((step.time, np.array(step.command), np.array(step.estimate)) for step in result.steps)
+    with Display(drive, tmp_path / "drive.mcap") as display:
+        for number, cycle in enumerate(result.cycles):
+            display.sensed(Sense(EPOCH, ticks=ticks[number :: len(result.cycles)]))
+            display.show(cycle)
+    assert display.problem == ""
+    found = decoded(tmp_path / "drive.mcap")
+    assert len(found["/plan"]) == len(result.cycles)
+    assert len(found["/drive"]) == len(ticks)
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith("kraft display: plans are not shown: transport: nobody answers at ws://127.0.0.1:9")
+    assert line.endswith("; the bag is written all the same")
