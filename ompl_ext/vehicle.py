@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -241,6 +242,7 @@ def _source(functions: tuple[Callable[..., Any], ...]) -> str:
 
 
 _NAMES = ("state", "inputs", "manoeuvres", "rest")
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 def _type_problems(vehicle: Vehicle) -> Iterator[str]:
@@ -265,8 +267,17 @@ def _type_problems(vehicle: Vehicle) -> Iterator[str]:
         yield f"errors_by_speed must be a tuple of OpenLoopErrors, got {errors!r}"
 
 
+def _name_problems(vehicle: Vehicle) -> Iterator[str]:
+    """Names that no file and no option can state: vehicle files, goals and `--param` refer to them."""
+    kinds = (("state", vehicle.state), ("controls", vehicle.controls), ("parameters", vehicle.parameters))
+    for kind, names in kinds:
+        wrong = [name for name in names if not (isinstance(name, str) and _NAME.fullmatch(name))]
+        if wrong:
+            yield f"names of {kind} need letters, digits and _, no digit first, got {', '.join(map(repr, wrong))}"
+
+
 def _shape_problems(vehicle: Vehicle) -> list[str]:
-    problems = []
+    problems = list(_name_problems(vehicle))
     if not {"x", "y"} <= set(vehicle.state):
         problems.append(f"state needs components named x and y (and theta if it turns), got {vehicle.state}")
     for name, bounds in vehicle.controls.items():

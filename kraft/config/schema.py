@@ -268,7 +268,8 @@ def _diagnostic(model: type[BaseModel], document: Document, detail: ErrorDetails
     path: KeyPath = in_file(model, detail["loc"])
     kind, given, context = detail["type"], detail["input"], detail.get("ctx", {})
     if path and path[-1] == "[key]":  # pydantic's mark of an invalid key
-        return document.source.diagnostic(path[:-1], "is not a symbol", "expected letters, digits and _", at_key=True)
+        expected = "expected letters, digits and _, no digit first"
+        return document.source.diagnostic(path[:-1], "is no valid name", expected, at_key=True)
     source = document.source
     known = lookup(model, detail["loc"])
     about = f" ({known.description})" if known.description else ""

@@ -305,6 +305,11 @@ def test_numbers_that_a_vehicle_cannot_have_are_refused(stated: str, problem: st
     [
         ({"controls": None, "state": "xyv"}, ["state must be a tuple of names, got 'xyv'", "controls must be"]),
         ({"controls": {"a": 1.0, "b": (0, 1, 2)}}, ["control a needs finite bounds", "control b needs finite bounds"]),
+        (
+            {"parameters": {"a b": 0.3, "L": 0.3, "9": 1.0}},
+            ["names of parameters need letters, digits", "got 'a b', '9'"],
+        ),
+        ({"controls": {"k/g": (0.0, 1.0), 3: (0.0, 1.0)}}, ["names of controls need letters", "first, got 'k/g', 3"]),
         ({"top_speed": "1", "limits": {"v": ("0", 1)}}, ["top_speed must be positive", "the limits of v need"]),
         ({"footprint": (0.4, 0.2), "stop": 3}, ["stop must be a function or None", "footprint must be a Footprint"]),
         ({"parameters": {"tau": 1.0}, "ranges": {"tau": (0, 1, 1)}}, ["the range of tau needs a ParameterRange"]),
