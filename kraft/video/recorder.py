@@ -115,7 +115,8 @@ class VideoRecorder:
         """Draw the frames of the drive."""
         seconds = len(self._frames) / self._file.fps
         report(f"drawing the film of {seconds:.1f} s ...")
-        began = reported = clock.monotonic()
+        reported = clock.monotonic()
+        began, before = 0.0, 0  # when the first picture, which also sets the drawing up, was drawn, and its frames
         past: list[Snapshot] = []
         for _, equal in itertools.groupby(self._frames, key=id):
             frames = list(equal)
@@ -123,16 +124,18 @@ class VideoRecorder:
             picture = self._overlay.over(renderer.picture(frames[0]), past)
             for _ in frames:
                 self._file.add(picture)
+            if len(past) == 1:
+                began, before = clock.monotonic(), self._file.frames
             if clock.monotonic() > reported + REPORTED:
                 reported = clock.monotonic()
-                drawn = self._file.frames / self._file.fps
-                report(f"  {drawn:.1f} of {seconds:.1f} s are drawn{_remaining(reported - began, drawn / seconds)}")
+                drawn = self._file.frames
+                remaining = _remaining(reported - began, drawn - before, len(self._frames) - drawn)
+                report(f"  {drawn / self._file.fps:.1f} of {seconds:.1f} s are drawn{remaining}")
 
 
-def _remaining(elapsed: float, share: float) -> str:
-    """What to say of the time that remains after `elapsed` s, in which a share of the work was done."""
-    left = elapsed * (1.0 - share) / share
-    return f", about {max(left, 1.0):.0f} s remain"
+def _remaining(elapsed: float, done: int, left: int) -> str:
+    """What to say of the time that `left` frames take, of which `done` took `elapsed` s; empty if none was done."""
+    return f", about {max(elapsed * left / done, 1.0):.0f} s remain" if done else ""
 
 
 def map_width(bounds: Bounds) -> int:
