@@ -397,6 +397,10 @@ def fit(
 
     The fit has converged after two steps that decrease the cost by a share of at most `tolerance`, or if no step
     from the exact linearisation decreases it, however short.
+
+    Some terms act with the square of their parameter, such as `saturation`: near 0 the derivatives do not show it, and
+    its prior moves it as far as if it had no effect.  A step that is refused is tried without such parameters, since
+    a damping that makes theirs short makes those of all others short too.
     """
     p = graph.problem.parameters
     point, cost, damping, converged, iterations = start, graph.cost(start), DAMPING_INITIAL, False, 0
@@ -404,9 +408,12 @@ def fit(
     graph.linearise(point)
     while iterations < most and not converged:
         factors = graph.reduce(damping)
-        change = bounded_step(factors, damping, p.low - point.rho, p.high - point.rho, p.free)
-        candidate = graph.moved(change)
-        lower = graph.cost(candidate)
+        low, high = p.low - point.rho, p.high - point.rho
+        candidate = graph.moved(bounded_step(factors, damping, low, high, p.free))
+        lower, led = graph.cost(candidate), p.free & factors.led_by_prior
+        if lower > cost and led.any():
+            candidate = graph.moved(bounded_step(factors, damping, low, high, p.free & ~led))
+            lower = graph.cost(candidate)
         if lower <= cost:
             before, small = small, cost - lower <= tolerance * cost
             iterations, converged = iterations + 1, before and small and fresh

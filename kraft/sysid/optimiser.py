@@ -177,6 +177,12 @@ class RhoFactors:
         total: Floats = self.gradient.sum(axis=0) + self.prior_gradient
         return total
 
+    @cached_property
+    def led_by_prior(self) -> Bools:
+        """(np,) whether the prior tells more of a component than the logs do."""
+        led: Bools = np.einsum("lkk->k", self.information) < self.prior_information
+        return led
+
     def decrease(self, change: Floats) -> float:
         """Expected decrease of the cost by a change of rho with optimal states and controls."""
         return float(-(self.total_gradient + 0.5 * self.total_information @ change) @ change)
