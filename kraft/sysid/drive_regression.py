@@ -118,9 +118,9 @@ def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, me
     found = [{**linear, "effort": 1.0 / samples.largest}]
     losses = [_loss(_residual(samples, values)) for values in (limited, _as_limited(linear), following)]
     if losses[0] < CLEARLY_BETTER * losses[1]:
-        found.insert(0, dict(zip(LIMITED, map(float, limited), strict=True)))
+        found.insert(0, _named(limited))
     if losses[2] < FOLLOWING_MAX * losses[1]:
-        found.append(dict(zip(LIMITED, map(float, following), strict=True)))
+        found.append(_named(following))
     return [_with_coast(values) for values in found]
 
 
@@ -178,10 +178,8 @@ def _following(samples: _Samples) -> Floats:
     """Values of `LIMITED` (10,) of a car whose speed follows the throttle, with the best of some dampings."""
     u, v = samples.throttle, samples.speed
     gain = float(u @ v) / max(float(u @ u), 1e-9)
-    free = dict.fromkeys(LIMITED, 0.0) | {"brake": 1.0}
-    tried = [
-        np.array(list((free | {"a_drive": d * gain, "damping": d, "neutral_damping": d}).values())) for d in FOLLOWING
-    ]
+    free = dict.fromkeys(set(LIMITED) - {"brake", "neutral_damping"}, 0.0)
+    tried = [_as_limited({**free, "a_drive": damping * gain, "damping": damping}) for damping in FOLLOWING]
     return min(tried, key=lambda values: _loss(_residual(samples, values)))
 
 
@@ -220,6 +218,11 @@ def _beyond(throttle: Floats, dead_zone: float) -> Floats:
 def _as_limited(linear: dict[str, float]) -> Floats:
     """Values of `LIMITED` (10,) without a limit."""
     return np.array([{"brake": 1.0, "neutral_damping": linear["damping"], "effort": 0.0, **linear}[n] for n in LIMITED])
+
+
+def _named(values: Floats) -> dict[str, float]:
+    """Values of `LIMITED` (10,) by their names."""
+    return dict(zip(LIMITED, map(float, values), strict=True))
 
 
 def _loss(residual: Floats) -> float:
