@@ -17,7 +17,7 @@ import numpy as np
 from ompl_ext.arrays import Floats
 from ompl_ext.fingerprint import fingerprint
 from ompl_ext.jit import inlined
-from ompl_ext.names import FORCE
+from ompl_ext.names import FORCE, SYMBOL
 
 MAX_MANOEUVRES = 32  # they are simulated together as lanes
 derivative = inlined  # decorator of a vehicle's functions
@@ -242,7 +242,6 @@ def _source(functions: tuple[Callable[..., Any], ...]) -> str:
 
 
 _NAMES = ("state", "inputs", "manoeuvres", "rest")
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 def _type_problems(vehicle: Vehicle) -> Iterator[str]:
@@ -271,7 +270,7 @@ def _name_problems(vehicle: Vehicle) -> Iterator[str]:
     """Names that no file and no option can state: vehicle files, goals and `--param` refer to them."""
     kinds = (("state", vehicle.state), ("controls", vehicle.controls), ("parameters", vehicle.parameters))
     for kind, names in kinds:
-        wrong = [name for name in names if not (isinstance(name, str) and _NAME.fullmatch(name))]
+        wrong = [name for name in names if not (isinstance(name, str) and re.fullmatch(SYMBOL, name))]
         if wrong:
             yield f"names of {kind} need letters, digits and _, no digit first, got {', '.join(map(repr, wrong))}"
 

@@ -31,6 +31,7 @@ from kraft.config.source import KeyPath, Source
 from kraft.config.yaml_reader import read_document
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import counted, nearest, suggestion
+from ompl_ext.names import SYMBOL
 
 
 class StrictModel(BaseModel):
@@ -109,7 +110,7 @@ Mass: TypeAlias = Annotated[float, Field(ge=MASS_MIN, le=1e6)]
 Positive: TypeAlias = Annotated[float, Field(gt=0, le=1e6)]
 NonNegative: TypeAlias = Annotated[float, Field(ge=0, le=1e6)]
 Probability: TypeAlias = Annotated[float, Field(ge=0, le=1)]
-Symbol: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+Symbol: TypeAlias = Annotated[str, StringConstraints(pattern=f"^{SYMBOL}$")]
 ParameterValue: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
 Number: TypeAlias = Annotated[float, Field(ge=-1e12, le=1e12)]
 Point: TypeAlias = tuple[Coordinate, Coordinate]
