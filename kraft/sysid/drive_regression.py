@@ -4,9 +4,10 @@ With a known dead zone the change of the speed over a span is linear in drive an
 speed controller that limits the acceleration is not, and its limit has no effect on a fit that begins beyond it: a
 second regression begins at several limits, round ones first, which have an effect before they are reached.
 
-The speed of a car with a quick controller follows the throttle within the delay of the commands, which no regression
-knows.  Its changes then seem slow, and a limit of the acceleration explains them as well; a fit that begins beyond the
-limit does not learn the drive.  For such a car the steady speed over the throttle gives values without a limit.
+The speed of a car with a quick controller follows the throttle within the delay of the commands, which is not known
+before a fit.  Its changes then seem slow, and a limit of the acceleration explains them as well; a fit that begins
+beyond the limit does not learn the drive.  For such a car the steady speed over the throttle gives values without a
+limit, and the regressions are made again with the delay that the first fits find.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ FOLLOWING: Final = (2.0, 5.0, 10.0, 20.0)
 FOLLOWING_MAX: Final = 10.0
 """Loss of these values over that of the first regression from which on the speed does not follow the throttle.
 
-That of cars whose speed does is up to 5, since the regression knows no delay; of others it is 18 and more."""
+That of cars whose speed does is up to 5 while the delay is not known; of others it is 18 and more."""
 LIMITED: Final = (
     "a_drive", "damping", "neutral_damping", "friction", "drag", "scrub", "back_emf", "brake", "dead_zone", "effort",
 )  # fmt: skip
@@ -97,21 +98,33 @@ class _Samples:
         return {"friction": -sense, "drag": -v * np.abs(v), "scrub": -sense * r * r * self.wheelbase}
 
 
-def drive_values(parameters: Parameters, chains: Chains, data: SmoothedPoses, mean: Matrix) -> list[dict[str, float]]:
-    """Drive and losses of `kraft.vehicles.car`, the best ones first; empty for other models and for short logs.
+def values_with_drive(
+    parameters: Parameters, chains: Chains, data: SmoothedPoses, mean: Matrix, rho: Floats
+) -> list[Floats]:
+    """Values `rho` (np,) with the drive and losses of `kraft.vehicles.car` that the logs show, the best ones first.
+
+    Empty for other models, and where all parts of the logs are shorter than the span of the regression.
 
     Args:
         parameters: of the model; the throttle is in the unit of their nominal `full_throttle`.
         chains: of the logs.
         data: smoothed poses at the states of the chains.
         mean: controls (N, nu) that act in the steps.
+        rho: values of all other parameters (np,).
     """
     own = {"a_drive", "damping", "back_emf", "friction", "drag", "scrub", "dead_zone", "effort", "coast", "brake"}
     if not own <= set(parameters.names):
         return []
     samples = _samples(parameters, chains, data, mean)
-    if not len(samples.change):  # all parts are shorter than a span
+    if not len(samples.change):
         return []
+    names, free = parameters.names, parameters.free
+    found = [np.array([v.get(name, x) for name, x in zip(names, rho, strict=True)]) for v in _drives(samples)]
+    return [parameters.within_bounds(np.where(free, values, parameters.nominal)) for values in found]
+
+
+def _drives(samples: _Samples) -> list[dict[str, float]]:
+    """Drive and losses that are worth a fit, the best ones first."""
     linear = _linear(samples)
     limited = _limited(samples, linear)
     following = _following(samples)

@@ -44,6 +44,8 @@ VARIATION_MIN = 0.1
 MISFIT_FREEDOM = 3.0
 """Degrees of freedom of Student's distribution of a window's misfit: its poses err together, so that a window which the
 model does not explain (a start against stiction, a hand on the car) counts little as a whole."""
+LARGE_SHARE = 0.99
+"""Quantile of the squared residuals up to which they count in full for the growth of the error."""
 CHUNK = 32
 """Number of windows whose derivatives are multiplied at once: they remain in the processor's cache."""
 EXPECTED_KEPT = 3
@@ -160,9 +162,10 @@ class MultiStep:
         moved[self._controls.components] = True
         return moved
 
-    def shifted(self, states: Matrix, before: Floats, rho: Floats) -> Matrix:
-        """Initial states for `rho` that differ from the expected ones as those for `before` do, with the same poses."""
-        return self._shifted(states, before, rho, self.prior_states(rho) - self.prior_states(before))
+    def with_rho(self, point: Point, rho: Floats) -> Point:
+        """The point with other parameters: the same poses, and initial states as far from the expected ones."""
+        change = self.prior_states(rho) - self.prior_states(point.rho)
+        return replace(point, states=self._shifted(point.states, point.rho, rho, change), rho=rho)
 
     def _shifted(self, states: Matrix, before: Floats, rho: Floats, change: Matrix) -> Matrix:
         moved = self._shown_alike(states, before, rho)
@@ -365,6 +368,18 @@ class MultiStep:
             slopes[fold, free] = gradient[:known] - joint[:known, known:] @ solved[:, -1]
         return full, slopes
 
+    def found_growth(self, point: Point) -> Floats:
+        """(3,) growth of the model's error in x, y and yaw per second, from typical residuals at a point."""
+        windows = self.windows
+        late = windows.seen & (windows.since > 0.1 * windows.since.max())
+        off, since = self.residuals(point)[late], windows.since[late]
+        square = off**2 / since[:, None] ** 2
+        square = np.mean(np.minimum(square, np.quantile(square, LARGE_SHARE, axis=0)), axis=0)
+        square -= np.mean(1.0 / since**2) * self.noise.pose_sigmas**2
+        position = max(0.5 * (square[0] + square[1]), 0.0)
+        growth: Floats = np.sqrt([position, position, max(square[2], 0.0)])
+        return growth
+
     def found_variation(self, states: Matrix) -> Variation:
         """Variation of the means of the drives as of the windows reduced last.
 
@@ -382,8 +397,8 @@ class MultiStep:
         means = -(self._mean_solved[..., :-1] @ change[self._free] + self._mean_solved[..., -1])
         step = -(self._solved[..., :known] @ change[self._free] + self._solved[..., -1])
         step -= np.einsum("wxv,wv->wx", self._solved[..., known:-1], means[self.windows.fold])
-        states = self.shifted(self._point.states, self._point.rho, rho) + step
-        return replace(self._point, states=states, rho=rho)
+        found = self.with_rho(self._point, rho)
+        return replace(found, states=found.states + step)
 
 
 def fit(

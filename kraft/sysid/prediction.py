@@ -196,10 +196,7 @@ class Predictor:
         """Predicted poses (W, n, 3) with the parameters rho (np,); those of the windows are `ahead` (W, n)."""
         start = self.graph.start(rho)
         if self._last is not None:
-            again = replace(
-                self._last, rho=rho.copy(), states=self.graph.shifted(self._last.states, self._last.rho, rho)
-            )
-            start = min(start, again, key=self.graph.cost)
+            start = min(start, self.graph.with_rho(self._last, rho), key=self.graph.cost)
         self._last = fit(self.graph, start, HISTORY_ITERATIONS, tolerance=HISTORY_CONVERGED).point
         states = self._at_recent_poses(self._last)
         for w in np.flatnonzero(self._resting):

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from kraft.errors import Code, InputError
-from kraft.sysid.drive_regression import drive_values
+from kraft.sysid.drive_regression import values_with_drive
 from kraft.sysid.fit_progress import FitProgress, OnIteration
 from kraft.sysid.initial_values import InitialSearch
 from kraft.sysid.interface import AT_BOUND, Settings
@@ -61,8 +61,6 @@ FIRST_GROWTH: Final = (0.2, 0.2, 0.3)
 """Growth of the model's error in the first fit: m/s, m/s, rad/s."""
 GROWTH_ROUNDS: Final = 2
 """Fits after which the growth of the error is estimated again."""
-LARGE_SHARE: Final = 0.99
-"""Quantile of the squared residuals up to which they count in full for the growth."""
 FIRST_TERMS: Final = ("friction", "lever")
 """Terms in the search for first values."""
 SEARCHED_WINDOWS: Final = 100
@@ -70,6 +68,8 @@ SEARCHED_WINDOWS: Final = 100
 FIRST_ITERATIONS, FIRST_CONVERGED = 20, 1e-3
 """Most iterations of the first fits of all terms, and the relative decrease of the cost below which those whose weights
 are not final end."""
+SAME_OPTIMUM: Final = 2 * FIRST_CONVERGED
+"""Relative difference of the costs of two such fits up to which they are taken for fits with the same optimum."""
 VARIATION_ROUNDS, VARIATION_CHANGE = 3, 0.3
 """Most estimates of the variation with the chosen terms, and the relative change below which one is the last."""
 WORSE_MAX: Final = 3
@@ -92,7 +92,7 @@ REFIT_ITERATIONS: Final = 6
 """Most iterations after a term is switched off."""
 DIVERGED: Final = 1e6
 """Error of a prediction that diverges, m: the structure is judged by it, and not by the other predictions alone."""
-OTHER_FITS: Final = 12
+OTHER_FITS: Final = 15
 """Usual number of fits of a search beside one for each term: of all terms, of the chosen ones, and in all windows."""
 HORIZON_SHARES: Final = (1.0 / 3.0, 2.0 / 3.0, 1.0)
 """Times in a window at which errors are compared, as shares of the horizon."""
@@ -187,40 +187,43 @@ class StructureSearch:
     def full(self) -> Structure:
         """Fit of all terms, from the best of several first values."""
         graph = self.graph(self.candidates)
-        firsts = self._first_values(graph)
-        fits = [self._optimise(graph, graph.start(rho), FIRST_ITERATIONS, FIRST_CONVERGED) for rho in firsts]
-        optimum = min(fits, key=lambda found: found.cost)
-        if optimum is not fits[-1]:  # the variation follows from what was eliminated last
-            graph.linearise(optimum.point)
-            graph.reduce(0.0)
+        optimum, *_ = self._best_first(graph, self._first_points(graph), FIRST_CONVERGED)
+        others: list[Optimum] = []
         for made in range(GROWTH_ROUNDS):
-            self.growth = _error_growth(graph, optimum.point)
+            self.growth = graph.found_growth(optimum.point)
             self.variation = graph.found_variation(optimum.point.states)
             graph = self.graph(self.candidates)
-            final = made == GROWTH_ROUNDS - 1
-            tolerance = CONVERGED if final else FIRST_CONVERGED
-            optimum = self._optimise(graph, optimum.point, FIRST_ITERATIONS, tolerance)
+            more = _with_drive(graph, optimum.point) if made == 0 else [found.point for found in others]
+            tolerance = CONVERGED if made == GROWTH_ROUNDS - 1 else FIRST_CONVERGED
+            optimum, *others = self._best_first(graph, [optimum.point, *more], tolerance)
         return self._judged(self.candidates, graph, optimum)
 
-    def _first_values(self, graph: MultiStep) -> list[Floats]:
-        """First values of rho: the nominal ones with the signs that fit best, and a search with few terms on."""
+    def _first_points(self, graph: MultiStep) -> list[Point]:
+        """Points where fits begin: the nominal values with the signs that fit best, and a search with few terms on."""
         p = graph.problem.parameters
         signed = [k for k, spec in enumerate(p.specs) if p.free[k] and spec.min == -spec.max and spec.value != 0.0]
         signs = [np.where(np.isin(np.arange(len(p.nominal)), flipped), -1.0, 1.0) * p.nominal
                  for count in range(len(signed) + 1) for flipped in itertools.combinations(signed, count)]  # fmt: skip
         nominal = min(signs, key=lambda rho: graph.cost(graph.start(rho)))
-        problem = graph.problem
-        known = drive_values(p, problem.chains, graph.smoothed, problem.actuators.mean(nominal)[0])
-        if known:
-            regressed = [[v.get(name, value) for name, value in zip(p.names, nominal, strict=True)] for v in known]
-            return [p.within_bounds(np.where(p.free, rho, p.nominal)) for rho in regressed]
+        if regressed := _with_drive(graph, graph.start(nominal)):
+            return regressed
         few = self.graph(FIRST_TERMS)
         q, problem = few.problem.parameters, few.problem
         search = InitialSearch(
             q, problem.dynamics.discrete_model, problem.chains, few.smoothed, problem.actuators.mean(q.nominal)[0]
         )
         found = self._optimise(few, few.start(search.best()), FIRST_ITERATIONS).point.rho
-        return [nominal, np.where(p.free & q.free, found, p.nominal)]
+        return [graph.start(nominal), graph.start(np.where(p.free & q.free, found, p.nominal))]
+
+    def _best_first(self, graph: MultiStep, starts: Sequence[Point], tolerance: float) -> list[Optimum]:
+        """The fits from several points that end in optima of their own; the windows of the best are reduced last."""
+        fits = [self._optimise(graph, start, FIRST_ITERATIONS, tolerance) for start in starts]
+        best = min(fits, key=lambda found: found.cost)
+        if best is not fits[-1]:  # the variation follows from what was eliminated last
+            graph.linearise(best.point)
+            graph.reduce(0.0)
+        others = [found for found in fits if found.cost - best.cost > SAME_OPTIMUM * best.cost]
+        return [best, *others]
 
     def _optimise(
         self, graph: MultiStep, start: Point, iterations: int | None = None, tolerance: float = CONVERGED
@@ -249,8 +252,8 @@ class StructureSearch:
         rho = p.within_bounds(before.rho + step_with(structure.optimum.factors, low, high, p.free, chosen))
         kept = before.rho.copy()
         rho[chosen] = kept[chosen] = p.nominal[chosen]
-        points = [replace(before, states=graph.shifted(before.states, before.rho, r), rho=r) for r in (rho, kept)]
-        start = min(points, key=graph.cost)  # the linearised step may lead far off where a term matters
+        # the linearised step may lead far off where a term matters
+        start = min((graph.with_rho(before, values) for values in (rho, kept)), key=graph.cost)
         fitted = self._judged(terms, graph, self._optimise(graph, start, REFIT_ITERATIONS))
         return replace(fitted, without=", ".join(off))
 
@@ -274,7 +277,7 @@ class StructureSearch:
 
     def is_exact(self, structure: Structure) -> bool:
         """Whether the model's error stays below the noise of the poses over the longest window."""
-        growth = _error_growth(structure.graph, structure.optimum.point)
+        growth = structure.graph.found_growth(structure.optimum.point)
         longest = float(self.windows.since.max())
         return bool(np.all(growth * longest <= structure.graph.noise.pose_sigmas))
 
@@ -368,8 +371,7 @@ class StructureSearch:
         p = graph.problem.parameters
         rho = before.rho.copy()
         rho[p.index(name)] = other.optimum.point.rho[p.index(name)]
-        start = replace(before, states=graph.shifted(before.states, before.rho, rho), rho=rho)
-        return self._judged(terms, graph, self._optimise(graph, start))
+        return self._judged(terms, graph, self._optimise(graph, graph.with_rho(before, rho)))
 
     def _judged(self, terms: tuple[str, ...], graph: MultiStep, optimum: Optimum) -> Structure:
         """Errors of each fold with the parameters that the other folds give, to first order about the optimum.
@@ -465,6 +467,18 @@ class StructureSearch:
         return self._judged(terms, graph, self._optimise(graph, start))
 
 
+def _with_drive(graph: MultiStep, point: Point) -> list[Point]:
+    """The point with the drive of regressions that know its delay; empty for models without such a drive.
+
+    With the first growth of the error, a fit hardly tells terms of the drive from others, and their priors decide.  A
+    limit of the acceleration may then end where it has no effect, and no fit from there finds it again.
+    """
+    problem = graph.problem
+    mean = problem.actuators.mean(point.rho)[0]
+    found = values_with_drive(problem.parameters, problem.chains, graph.smoothed, mean, point.rho)
+    return [graph.with_rho(point, rho) for rho in found]
+
+
 def _is_shown(structure: Structure, name: str, gain: float) -> bool:
     """Whether the likelihood shows a term by the decrease `gain` of the cost."""
     return is_shown(structure.graph.problem.parameters, structure.optimum, name, gain)
@@ -484,16 +498,3 @@ def _last_with(path: Sequence[Structure], name: str) -> Structure:
 def _linearised_costs(structure: Structure) -> dict[str, float]:
     """Increase of the linearised cost by switching off each term."""
     return costs_of_terms(structure.graph.problem.parameters, structure.optimum, structure.terms)
-
-
-def _error_growth(graph: MultiStep, point: Point) -> Floats:
-    """(3,) growth of the model's error in x, y and yaw per second, from typical residuals of a fit."""
-    windows = graph.windows
-    late = windows.seen & (windows.since > 0.1 * windows.since.max())
-    off, since = graph.residuals(point)[late], windows.since[late]
-    square = off**2 / since[:, None] ** 2
-    square = np.mean(np.minimum(square, np.quantile(square, LARGE_SHARE, axis=0)), axis=0)
-    square -= np.mean(1.0 / since**2) * graph.noise.pose_sigmas**2
-    position = max(0.5 * (square[0] + square[1]), 0.0)
-    growth: Floats = np.sqrt([position, position, max(square[2], 0.0)])
-    return growth

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from support.cars import TRUTH, car, drive
 
 from benchmarks.synthetic_logs import synthetic_logs
 from kraft.logs.log import Log
-from kraft.sysid import Settings, drive_regression, prediction_errors, unexplained
+from kraft.sysid import Settings, drive_regression, prediction_errors, structure, unexplained
 from kraft.sysid.log_motion import reverses
 from kraft.sysid.optimiser import RhoFactors
 from kraft.sysid.structure import StructureSearch
@@ -78,6 +80,36 @@ def test_the_drive_of_a_car_whose_speed_follows_the_throttle_soon_is_found(monke
     monkeypatch.setattr(drive_regression, "FOLLOWING_MAX", 0.0)
     monkeypatch.setattr(RhoFactors, "led_by_prior", False)  # steps without such terms find back from the limit as well
     assert errors_of_all_terms(car_file(), logs) > 0.03
+
+
+def test_the_limit_of_a_quick_drive_is_found_once_its_delay_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The delay of the commands is as long as the drive takes: without it the regression gives a limit far too high."""
+    off = {name: spec.neutral for name, spec in car_file().parameters.items() if spec.neutral is not None}
+    truth = {"steer": 0.3, "a_drive": 34.6, "damping": 8.5, "back_emf": 3.7, "dead_zone": 0.25, "drag": 0.18,
+             "coast": 3.5, "effort": 1.24, "delay": 0.18}  # fmt: skip
+    commands = [short_drive(np.random.default_rng(seed)) for seed in range(16)]
+    logs = synthetic_logs(
+        car_file(), off | truth, range(16), seconds=3.0, noise=(0.003, 0.006), rate=20.0, commands=commands
+    )
+    assert errors_of_all_terms(car_file(), logs) < 0.006
+    regressed = structure.values_with_drive
+    made: list[int] = []
+
+    def once(*given: Any) -> list[np.ndarray]:
+        made.append(len(made))
+        return regressed(*given) if len(made) == 1 else []
+
+    monkeypatch.setattr(structure, "values_with_drive", once)
+    assert errors_of_all_terms(car_file(), logs) > 0.01
+
+
+def short_drive(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Levels of both commands about every 0.8 s, one in eight of the throttle neutral."""
+    times = np.array([0.0, *np.cumsum([0.1, *(0.8 * rng.uniform(0.5, 1.5, 10))])])
+    levels = rng.uniform([0.3, -1.0], 1.0, (len(times), 2))
+    levels[rng.random(len(times)) < 0.12, 0] = 0.0
+    levels[0] = 0.5, 0.0
+    return times[times < 3.0], levels[times < 3.0]
 
 
 def errors_of_all_terms(vehicle: VehicleConfig, logs: list[Log]) -> float:
