@@ -10,6 +10,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -228,6 +229,9 @@ def new_folder(path: Path) -> Iterator[Path]:
             yield temporary
             os.chmod(temporary, 0o777 & ~_umask())
             os.rename(temporary, path)
+        except InputError as error:  # of a file in it: the temporary folder is gone when the message is read
+            named = str(temporary), str(path)
+            raise InputError(replace(d, file=d.file.replace(*named)) for d in error.diagnostics) from error
         finally:
             shutil.rmtree(temporary, ignore_errors=True)  # there only if something went wrong
     except OSError as error:

@@ -77,8 +77,10 @@ def find(kind: Kind, name_or_path: str | Path) -> Path:
         if os.path.isfile(name_or_path):
             expected = f"expected the path of a .yaml file or the name of a {kind}"
             raise InputError.of(name_or_path, f"is no {kind} file", expected, Code.MISMATCH)
-        expected = suggestion(name_or_path, names(kind), none=f"no {kind} is bundled")
         problem = f"there is no {kind} of this name"
+        if files := [name for suffix in _SUFFIXES if os.path.isfile(name := name_or_path + suffix)]:
+            raise InputError.of(name_or_path, problem, f"did you mean the file {files[0]!r}?", Code.NOT_FOUND)
+        expected = suggestion(name_or_path, names(kind), none=f"no {kind} is bundled")
         raise InputError.of(name_or_path, problem, f"{expected} (or the path of a .yaml file)", Code.NOT_FOUND)
     path = Path(name_or_path)
     if os.path.islink(path) and not os.path.exists(path):

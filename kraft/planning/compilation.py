@@ -136,7 +136,7 @@ def _compile(parts: Mapping[str, Callable[[], object]], report: MessageSink) -> 
     if not parts:
         return
     # no closer estimate: what else the machine does makes it three times as long
-    once = "for this machine, once: up to a minute, or two if the machine is busy"
+    once = "for this machine, once: up to a minute, or some minutes if the machine is busy"
     several = len(parts) > 1
     what = f"{len(parts)} parts {once}: {'; '.join(parts)}" if several else f"{next(iter(parts))} {once}"
     report(f"compiling {what} ...")

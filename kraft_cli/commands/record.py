@@ -88,16 +88,20 @@ def record(
         poses = counted(run.poses, "pose")
         terminal.info(f"{len(done)}/{run.of}  {run.folder}: {run.manoeuvre}, {run.duration:.1f} s, {poses}{note}")
 
+    def kept() -> str:
+        runs_kept = f"{len(done)} of {counted(done[-1].of, 'run')} kept in {out}"
+        return f"{runs_kept}; to resume: {resume_command(request)}"
+
     try:
         model = record_logs(request, terminal.info, ended).model
     except KeyboardInterrupt as error:
         with handled(lambda _: None):  # another signal would end the command before it says what is kept
-            kept = " before the first run ended"
-            if done:
-                runs_kept = f"{len(done)} of {counted(done[-1].of, 'run')} kept in {out}"
-                kept = f"; {runs_kept}; to resume: {resume_command(request)}"
-            terminal.problem(f"stopped{kept}")
+            terminal.problem(f"stopped; {kept()}" if done else "stopped before the first run ended")
         return status_of(error)
+    except Exception:
+        if done:
+            terminal.problem(kept())
+        raise
     if json:
         terminal.json("kraft.record/1", _content(request.scenario, request.seed, out, done))
     else:

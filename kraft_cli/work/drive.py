@@ -323,16 +323,19 @@ def drive_table(driven: Driven) -> list[tuple[str, str]]:
     if ended is None:
         return [("result", "refused: the check list found problems")]
     measures = ended.measures
-    late = f"{measures.get('late_ticks', 0):.0f} of {measures.get('ticks', 0):.0f} ticks over 3 ms late"
     rows = [
         ("scenario", content["scenario"]),
         ("robot", content["robot"]),
         ("method", driven.spec.method.title),
         ("result", f"{ended.outcome} after {ended.time:.2f} s{f': {ended.reason}' if ended.reason else ''}"),
         ("cycles", f"{content['cycles']}, {content['contingencies']} of them with the contingency"),
-        ("watchdog", counted(ended.stops, "stop")),
-        ("controller", f"{late}, {measures.get('worst_late_ms', 0.0):.1f} ms at most"),
     ]
+    if "ticks" in measures:
+        late = f"{measures['late_ticks']:.0f} of {measures['ticks']:.0f} ticks over 3 ms late"
+        rows.append(("watchdog", counted(ended.stops, "stop")))
+        rows.append(("controller", f"{late}, {measures['worst_late_ms']:.1f} ms at most"))
+    else:
+        rows.append(("controller", "ended without a report of its ticks and of the watchdog's stops"))
     if (taken := measures.get("own_command_ms")) is not None:
         due = 1000.0 * driven.spec.period
         rows.append(("commands", f"{taken:.1f} ms each, measured before the drive; one is due every {due:.1f} ms"))

@@ -177,7 +177,7 @@ def test_the_first_run_says_that_it_compiles_and_a_quiet_one_does_not(
     assert main(["plan", "room.yaml"]) == 0
     lines = capsys.readouterr().err.splitlines()
     what = "compiling the planner and the model of mushr for this machine, once"
-    assert lines[0] == f"{what}: up to a minute, or two if the machine is busy ..."
+    assert lines[0] == f"{what}: up to a minute, or some minutes if the machine is busy ..."
     assert lines[1].startswith("compiled in ")
     assert main(["plan", "room.yaml", "-q"]) == 0
     assert capsys.readouterr().err == ""

@@ -16,7 +16,7 @@ from support.recorded import contents
 from kraft.config import bundled
 from kraft.driving.car_model import model_of
 from kraft.recording import experiment, recorder
-from kraft.recording.recorder import Recorder
+from kraft.recording.recorder import Recorder, Recording
 from kraft.scenario import load_scenario
 from kraft.sysid.information import known_before
 from kraft.sysid.interface import Noise
@@ -104,13 +104,32 @@ def test_an_interrupt_keeps_the_finished_runs(
 def test_a_run_that_cannot_be_written_leaves_no_part_of_it(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
     monkeypatch.setattr("kraft.files.os.rename", full)
     assert main(["record", "--runs", "1"]) == 2
     assert places(capsys.readouterr().err)[-1] == "logs/run_01"
     assert list((folder / "logs").iterdir()) == []
+
+
+def full(*_: object) -> None:
+    raise OSError(28, "No space left on device")
+
+
+def test_a_full_disk_is_explained_with_the_command_that_goes_on(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The first file of the second run cannot be written: its own name is that of a folder which is there no more."""
+
+    def recorded(self: Recorder, number: int, *drive: object) -> Recording:
+        if number == 2:
+            monkeypatch.setattr("kraft.files.os.replace", full)
+        return record(self, number, *drive)  # type: ignore[arg-type]
+
+    record = Recorder.record
+    monkeypatch.setattr(Recorder, "record", recorded)
+    assert main(["record", "--runs", "3"]) == 2
+    err = capsys.readouterr().err.splitlines()
+    assert err[-2] == "1 of 3 runs kept in logs; to resume: kraft record --out logs --resume"
+    assert re.fullmatch(r"logs/run_02/\w+\.\w+: cannot be written: No space left on device; expected .*", err[-1])
 
 
 def test_a_run_that_ends_early_says_so(capsys: pytest.CaptureFixture[str]) -> None:

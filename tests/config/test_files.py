@@ -66,6 +66,13 @@ def test_a_broken_link_is_said_to_be_one(tmp_path: Path) -> None:
     assert "did you mean" not in problem.expected
 
 
+def test_a_name_without_the_suffix_of_a_file_suggests_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("lab.yaml").write_text("")
+    (problem,) = raised(lambda: bundled.find("scenario", "lab"))
+    assert problem.expected == "did you mean the file 'lab.yaml'?"
+
+
 def test_a_file_in_the_way_of_a_folder_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=r"cannot be written: .*/file is not a folder"):

@@ -26,13 +26,18 @@ from mcap_ros2.decoder import DecoderFactory
 from websockets.sync.client import connect
 
 from benchmarks.rig import ROBOT, Rig
+from kraft.driving.method import load_method
 from kraft.errors import Defect, InputError
 from kraft.logs.reader import read_logs
 from kraft.robot.connect import open_transport
+from kraft.robot.drive import DriveResult
 from kraft.robot.messages import ACKERMANN, GRID, POSE, header, make, pose_fields, stamped_pose
+from kraft.robot.protocol import Checked, DriveSpec, Ended
 from kraft.robot.robot_file import load_robot
 from kraft.robot.show import KINDS
+from kraft.scenario import load_scenario
 from kraft.trial.result import Outcome
+from kraft.vehicles.load import load_vehicle
 from kraft_cli.main import main
 from kraft_cli.work import drive as work
 
@@ -74,6 +79,16 @@ def test_the_car_reaches_the_goal_and_everything_is_written(tmp_path: Path, tran
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         topics = {channel.topic for _, channel, _, _ in reader.iter_decoded_messages()}
     assert {"/plan", "/contingency", "/markers", "/map", "/pose", "/drive", "/tf", "/odometry/filtered"} <= topics
+
+
+def test_what_a_killed_controller_did_not_report_is_not_said_to_be_nothing() -> None:
+    task, vehicle = load_scenario("boxes").task(), load_vehicle("mushr")
+    spec = DriveSpec(task, load_method("adaptive-kraft"), vehicle, load_robot("sim"), timeout=60.0)
+    killed = Ended("stopped", "the controller's process ended with -9", 3.0)
+    driven = work.Driven(work.DriveRequest("boxes", "sim"), spec, DriveResult(Checked((), None), killed))
+    rows = dict(work.drive_table(driven))
+    assert rows["controller"] == "ended without a report of its ticks and of the watchdog's stops"
+    assert "watchdog" not in rows
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
