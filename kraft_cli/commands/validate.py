@@ -57,12 +57,13 @@ def _print_problems(terminal: Terminal, reports: Sequence[FileReport]) -> None:
     for report in reports:
         if report.valid:
             terminal.data(f"{report.file}: valid {report.kind}")
-    problems = [problem for report in reports for problem in report.problems]
+    # a suite has the problems of its scenarios, which may be among the files too
+    problems = tuple(dict.fromkeys(problem for report in reports for problem in report.problems))
     for problem in problems:
         terminal.problem(str(problem))
     if problems:
         invalid = sum(bool(report.problems) for report in reports)
-        terminal.info(f"{counted(len(problems), 'problem')} in {counted(invalid, 'file')}")
+        terminal.info(f"{counted(len(problems), 'problem')}; {counted(invalid, 'file')} invalid")
 
 
 def _file_json(report: FileReport) -> dict[str, Any]:

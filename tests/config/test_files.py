@@ -13,6 +13,7 @@ from kraft import files
 from kraft.config import bundled
 from kraft.errors import Code, InputError
 from kraft.files import Replacement, path_from, write_whole
+from kraft_cli.main import main
 from kraft_cli.work.validate import check_file
 
 
@@ -105,3 +106,16 @@ def test_a_path_through_a_link_keeps_its_way(tmp_path: Path) -> None:
     assert path_from(tmp_path / "my" / "link", "../floor.yaml") == tmp_path / "my" / "link" / ".." / "floor.yaml"
     assert path_from(tmp_path / "my", "../my/floor.yaml") == tmp_path / "my" / "floor.yaml"
     assert path_from(tmp_path, "a\0b") == tmp_path / "a\0b", "reported by who opens it"
+
+
+def test_a_problem_of_a_scenario_is_printed_once_beside_the_suites_that_have_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("floor.yaml").write_text("nme: floor\n")
+    for name in ("one", "two"):
+        Path(f"{name}.yaml").write_text(f"name: {name}\ndescription: d\nentries: [{{name: a, scenario: floor.yaml}}]\n")
+    assert main(["validate", "one.yaml", "two.yaml", "floor.yaml"]) == 2
+    *problems, last = capsys.readouterr().err.splitlines()
+    assert len(problems) == len(set(problems))
+    assert last == f"{len(problems)} problems; 3 files invalid"
