@@ -127,7 +127,7 @@ def test_the_table_of_methods_is_the_bundled_ones() -> None:
     for name, row in rows:
         method = load_method(name)
         planner, safety, bound = method.planner, method.planner.safety, method.planner.bound
-        clearance = f"{safety.delta:g} + {safety.delta_per_speed:g} v" if safety else "calibrated" if bound else "none"
+        clearance = f"{safety.delta:g} + {safety.delta_per_speed:g} v" if safety else "measured" if bound else "none"
         expected = [
             planner.mode, planner.vehicle or "the scenario's", f"{planner.margin:g}", clearance, method.controller.kind,
             method.estimator.kind,
