@@ -31,7 +31,7 @@ Seed = Annotated[
 Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Write the trial into a new folder.")]
 Video = Annotated[Path | None, typer.Option(metavar="FILE", help="Film the trial: FILE.mp4, or FILE.webp for a page.")]
 View = Annotated[bool, typer.Option("--view", help="Show the trial in a window, in real time.")]
-Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the run: FILE.png, .svg or .pdf.")]
+Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the trial: FILE.png, .svg or .pdf.")]
 Bag = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the trial as ROS 2 messages: FILE.mcap.")]
 Realtime = Annotated[
     bool, typer.Option("--realtime", help="On the wall clock, as kraft drive does, with the simulated robot beside it.")

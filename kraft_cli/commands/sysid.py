@@ -21,7 +21,7 @@ Model = Annotated[
     typer.Option(
         "--model",
         metavar="auto|NAME|FILE",
-        help="auto: a car with the terms that the logs need; or a vehicle (kraft list vehicles), a file, or code.",
+        help="auto: the model that predicts best; or a vehicle (kraft list vehicles), a file, or code.",
         autocompletion=completion.names("vehicle", "auto"),
     ),
 ]
@@ -58,7 +58,10 @@ PoseNoise = Annotated[
     ),
 ]
 Graph = Annotated[
-    str, typer.Option(metavar="fast|paper", help="Form of the graph: eliminated, or every factor explicit.")
+    str,
+    typer.Option(
+        metavar="fast|paper", help="Form of the graph. fast: states eliminated; paper: every factor explicit."
+    ),
 ]
 Horizon = Annotated[float, typer.Option(metavar="S", help="Time over which the chosen model is to predict well.")]
 Next = Annotated[int | None, typer.Option("--next", metavar="N", help="Recommend the next N drives, which show most.")]
