@@ -56,7 +56,7 @@ def import_(
 ) -> ExitStatus:
     """Write scenarios from worlds of BARN, dynobench, or maps.
 
-    Worlds are Gazebo files (BARN), problems of dynobench, or occupancy maps; several also make a suite.
+    Worlds are Gazebo files (BARN), problems of dynobench, or occupancy maps.
     """
     from kraft_cli.work.worlds import ImportRequest, imported_json, robot_warnings, run_import
 
