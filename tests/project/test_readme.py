@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 
-import pytest
 from PIL import Image
 from support.paths import ROOT
 
@@ -59,14 +58,6 @@ def _rows(text: str) -> dict[str, list[str]]:
 
 def test_continuous_integration_runs_the_second_one() -> None:
     assert commands()[1] in (ROOT / ".ci" / "run").read_text().splitlines()
-
-
-@pytest.mark.parametrize("page", ["README.md", "docs/introduction.md"])
-def test_every_file_that_a_first_page_points_to_exists(page: str) -> None:
-    targets = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)|src=\"([^\"]+)\"", (ROOT / page).read_text())
-    paths = [a or b for a, b in targets if not (a or b).startswith("http")]
-    assert len(paths) > 5
-    assert [path for path in paths if not ((ROOT / page).parent / path).exists()] == []
 
 
 def test_the_moving_picture_of_the_readme_is_small_and_moves() -> None:
