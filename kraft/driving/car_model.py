@@ -30,6 +30,8 @@ UPDATED_TIME: Final = 6.0
 
 Half the rows and a third of the time of `TABLE_SIZE` and `SETTLING_TIME`: they are made between two ticks.
 """
+AXLES: Final = 0.75
+"""Usual wheelbase of a car, as a share of its length."""
 Tables = tuple[list[float], list[float], list[float], list[float]]
 """Throttles with their steady speeds (m/s), and steerings with the curvatures of their paths (1/m)."""
 _TABLES: Final[dict[tuple[str, bytes, bytes], Tables]] = {}
@@ -180,7 +182,32 @@ class CarModel(VehicleModel):
 
     @property
     def wheelbase(self) -> float:
-        """Change of steering per change of curvature at straight driving, m; for a bicycle model its wheelbase."""
+        """Change of the wheels' angle per change of curvature at straight driving, m: of a bicycle its wheelbase."""
+        return self._steering_per_curvature / self.steering_unit
+
+    @property
+    def steering_unit(self) -> float:
+        """Steering per radian of the wheels at straight driving: 1 for steering in rad.
+
+        A model that takes commands in any unit states it (`kraft.vehicles.car`).  Of others, steering whose unit turns
+        the car less than an angle of one radian would with a wheelbase as long as the car is not in rad; its wheelbase
+        is then taken as `AXLES` of the length.
+        """
+        values, length = self.vehicle.parameters, self.vehicle.footprint.length
+        if "full_steering" in values and "steer" in values:
+            return float(values["full_steering"] / values["steer"])
+        across = self._steering_per_curvature
+        return 1.0 if across <= length else across / (AXLES * length)
+
+    @property
+    def throttle_unit(self) -> float:
+        """Throttle that counts as full: 1, that of a model that states it, or the largest one if that is above 1."""
+        full = self.vehicle.parameters.get("full_throttle")
+        return max(1.0, self._bounds[self.throttle][1]) if full is None else float(full)
+
+    @property
+    def _steering_per_curvature(self) -> float:
+        """Change of steering per change of curvature at straight driving, in the steering's unit times m."""
         reach = 0.1 * max(abs(self._curvatures[0]), abs(self._curvatures[-1]))
         return (self.steering_for(reach) - self.steering_for(-reach)) / (2.0 * reach)
 

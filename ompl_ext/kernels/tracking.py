@@ -25,7 +25,7 @@ from ompl_ext.kernels.kernel_types import LANE_WIDTH, LANES, PROBLEM, Lanes, Pro
 from ompl_ext.kernels.search import edge
 
 ARRIVAL_TOLERANCE = 1e-3  # distance to the end of a path below which the car has arrived (m)
-K_HOLD = 3.0  # throttle per metre that a car which is held has drifted (1/m)
+K_HOLD = 3.0  # share of full throttle per metre that a car which is held has drifted (1/m)
 MOVING = 0.01  # speed above which a car is braked (m/s)
 
 # Indices of where a tracker is: number of the current path, and its sample that was nearest to the car
@@ -40,9 +40,10 @@ ROWS = 8
 IS_PLAN, BRAKES_AT, MANOEUVRE = range(3)
 
 # Indices of Law.gain: on the cross-track error (1/s), on the heading, on the progress (1/m); speed added where the law
-# divides by it (m/s), how far ahead it looks (s), and how far the tracked point is ahead of the centre (m)
-K_PATH, K_HEADING, K_ALONG, SOFTENING, LOOK, OFFSET = range(6)
-GAINS = 6
+# divides by it (m/s), how far ahead it looks (s), and how far the tracked point is ahead of the centre (m); the command
+# of steering per radian, and that of full throttle
+K_PATH, K_HEADING, K_ALONG, SOFTENING, LOOK, OFFSET, RADIAN, FULL_THROTTLE = range(8)
+GAINS = 8
 
 # Indices of Law.where: components of the state and of a control, and the number of samples to each side of the last
 # nearest one among which the next one is searched
@@ -69,7 +70,7 @@ class Track(NamedTuple):
 class Law(NamedTuple):
     """Gains of the kinodynamic law, and the car: bounds of its controls, parameters and compiled functions."""
 
-    gain: Floats  # (6,)
+    gain: Floats  # (8,)
     where: Ints  # (7,)
     low: Floats  # (nu,)
     high: Floats  # (nu,)
@@ -224,7 +225,7 @@ def held_throttle(track: Track, law: Law, path: int, arc_length: float) -> float
     throttle: float = track.rest[law.where[AT_THROTTLE]]
     if throttle != 0.0:
         length = track.spacing[path] * (samples_of(track, path) - 1)
-        throttle += track.direction[path] * K_HOLD * (length - arc_length)
+        throttle += track.direction[path] * K_HOLD * law.gain[FULL_THROTTLE] * (length - arc_length)
     return throttle
 
 
@@ -254,7 +255,7 @@ def tracking_throttle(
     direction = track.direction[path]
     behind = arc_length_at(track, path, time) - arc_length
     planned = planned_throttle(track, law, time + law.gain[LOOK])
-    throttle = planned + direction * law.gain[K_ALONG] * behind
+    throttle = planned + direction * law.gain[K_ALONG] * law.gain[FULL_THROTTLE] * behind
     if track.kind[IS_PLAN] == 1.0:
         return throttle
     if time >= track.times[-1]:
@@ -264,7 +265,7 @@ def tracking_throttle(
 
 @part
 def steering_feedback(track: Track, law: Law, at: Ints, aside: float, speed: float, state: Floats) -> float:
-    """Feedback added to the planned steering, rad (Hoffmann et al. 2007, eq. 5, with a softened denominator).
+    """Feedback on the angle of the wheels, rad (Hoffmann et al. 2007, eq. 5, with a softened denominator).
 
     The front axle moves in the direction theta + steering.  Its heading error relative to its path is therefore the
     heading error of the car plus the planned steering, which is fed forward.  In reverse, steering turns the car the
@@ -288,7 +289,8 @@ def command(track: Track, at: Ints, law: Law, time: float, state: Floats, contro
     else:
         speed = abs(state[law.where[AT_V]])
         ahead = track.first[path] + index_at(track, path, arc_length + law.gain[LOOK] * speed)
-        steering = track.samples[STEERING, ahead] + steering_feedback(track, law, at, aside, speed, state)
+        turn = steering_feedback(track, law, at, aside, speed, state)
+        steering = track.samples[STEERING, ahead] + law.gain[RADIAN] * turn
         throttle = tracking_throttle(track, law, path, arc_length, time, state, control)
     for k, value in ((law.where[AT_THROTTLE], throttle), (law.where[AT_STEERING], steering)):
         control[k] = min(max(value, law.low[k]), law.high[k])

@@ -6,6 +6,7 @@ import copy
 import functools
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -130,6 +131,23 @@ def test_a_car_beside_a_straight_path_comes_back_to_it(choice: Settings, left: f
     start = np.array([0.0, left, 0.3, 0.5])
     states, _ = track(make_controller(choice, car()), Truth(car(), start, lag=0.3, servo=3.2), reference, 11.0)
     assert abs(states[-60:, 1]).max() < 0.03
+
+
+@CLOSED
+def test_the_unit_of_the_commands_makes_no_difference(choice: Settings) -> None:
+    """Steering in degrees and a throttle of at most 0.1, as a car has them whose logs are in these units."""
+    sent = []
+    for throttle, steering in ((1.0, 0.4), (0.1, 23.0)):
+        values = {"full_throttle": throttle, "full_steering": steering, "steer": 0.4, "L": 0.33, "a_drive": 2.0}
+        limits = {"throttle": (-throttle, throttle), "steering": (-steering, steering)}
+        model = CarModel(replace(load_vehicle("car", parameters=values), controls=limits))
+        reference = drive(model, MOVING, [(0.5 * throttle, 0.1 * steering, 4.0)])
+        controller = make_controller(choice, model)
+        states = [at(time, reference, forward=-0.05, left=0.03, turn=0.1) for time in (1.0, 1.1, 1.2)]
+        commands = [controller.command(Estimate(1.0 + 0.1 * k, x, 0.0), reference) for k, x in enumerate(states)]
+        sent.append(np.array(commands) / [throttle, steering])
+    np.testing.assert_allclose(sent[0], sent[1], atol=1e-9)
+    assert (np.abs(sent[0] - [0.5, 0.1]) > 0.01).all(), "it corrects both"
 
 
 # Directions of the corrections
