@@ -71,11 +71,17 @@ class Planner:
         return sorted(taken)[1]
 
     def _warm_up(self, state: Floats) -> None:
-        """Decide and plan once in vain: the first time takes longer, because compiled functions are loaded."""
+        """Decide and plan once in vain: the first time takes longer, because compiled functions are loaded.
+
+        Where the vehicle stands with less clearance than the method asks for, that lowers what its solvers ask for.
+        """
         assert self._replanner is not None, "it is there"
+        asked = self._solvers.checking.safety
         commitment, moving = self._replanner.begin(state), state.copy()
         moving[self._model.v] = 0.5 * self._model.vehicle.top_speed
         self._replanner.decide(Estimate(0.0, moving, 0.0), commitment)
+        shape = asked.delta_per_speed, asked.delta_per_time, asked.delta_horizon
+        self._solvers.checking.set_bound(asked.delta, *shape)
         self._replanner = self._new_replanner()
 
     def _new_replanner(self) -> Replanner:

@@ -1,0 +1,43 @@
+"""The planner of a drive: what it asks for does not depend on where it was warmed up."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kraft.driving.method import load_method
+from kraft.driving.planner_settings import Clearance, PlannerSettings
+from kraft.robot.planner import Planner
+from kraft.robot.protocol import DriveSpec
+from kraft.robot.robot_file import Robot
+from kraft.scenario import load_scenario
+from kraft.vehicles.load import load_vehicle
+
+ROBOT: dict[str, Any] = {
+    "name": "r", "transport": {"kind": "loopback"},
+    "pose": {"topic": "/pose", "type": "geometry_msgs/msg/PoseStamped"}, "command": {"topic": "/drive"},
+}  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_start_with_less_clearance_lowers_what_is_asked_for_there_alone() -> None:
+    """0.1 m from the right wall, from where the vehicle leaves with the clearance that it has."""
+    asked = Clearance(delta=0.12, delta_per_speed=0.0)
+    settings = PlannerSettings(
+        mode="replanning", cycle=0.6, lead=0.3, safety=asked, recover=True, on_board="contingency"
+    )
+    method = load_method("filtered-kraft").model_copy(update={"planner": settings})
+    robot, task = Robot.model_validate(ROBOT, strict=False), load_scenario("turns").task()
+    planner = Planner(DriveSpec(task, method, load_vehicle("mushr"), robot, 60.0))
+    planner.begin((1.96, 0.0, math.pi / 2))
+    assert planner._replanner is not None
+    proposer, checking = planner._replanner.proposer, planner._solvers.checking
+    assert proposer.recovers
+    assert checking.safety.delta < 0.1
+    start = task.start
+    proposer.propose(1, np.array([start.x, start.y, start.heading, 0.0]), None)
+    assert not proposer.recovers
+    assert checking.safety.delta == 0.12
