@@ -264,6 +264,7 @@ class ControlLoop:
         for message in self._guard.take():
             if isinstance(message, Guarded):
                 count += 1
+                self._told = None  # it may have on board a stop of its own, from where the vehicle was then
                 time = min(message.time, now)  # it may have sent one since this tick began
                 if time > self._tracker.last_sent:
                     self._command(time, message.command, Estimate(time, self._tracker.estimate(time).state, 0.0))

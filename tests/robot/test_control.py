@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +16,7 @@ from kraft.robot.drive_tables import DriveTables
 from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
 from kraft.robot.loopback import LoopbackBus
-from kraft.robot.protocol import BeginOrder, DriveSpec, Guarded, Mailbox
+from kraft.robot.protocol import Beat, BeginOrder, DriveSpec, Guarded, Mailbox
 from kraft.robot.robot_file import Robot
 from kraft.robot.task_inputs import TaskInputs
 from kraft.robot.tracker import Tracker
@@ -28,8 +29,8 @@ ROBOT: Final[dict[str, Any]] = {
 }  # fmt: skip
 
 
-def test_a_command_of_the_guard_that_is_newer_than_the_tick_counts_from_the_tick() -> None:
-    """The guard may send one between the beginning of a tick and the look at its messages."""
+def control_and_guard() -> tuple[ControlLoop, Tracker, Connection]:
+    """A controller whose vehicle stands, what drives it, and the brake guard's end of the pipe."""
     described, bus = Robot.model_validate(ROBOT, strict=False), LoopbackBus()
     spec = DriveSpec(
         load_scenario("boxes").task(), load_method("adaptive-kraft"), load_vehicle("mushr"), described, 60.0
@@ -47,10 +48,37 @@ def test_a_command_of_the_guard_that_is_newer_than_the_tick_counts_from_the_tick
         spec, node, inputs, TaskInputs(described, node, None), Mailbox(planner, "the planner"), mail, DriveTables(None, {}),
         tracker, health,
     )  # fmt: skip
-    theirs.send(Guarded(1.3, np.array([0.5, 0.1])))
+    return control, tracker, theirs
+
+
+def take_guarded(control: ControlLoop, now: float) -> int:
+    """Number of the commands that the guard has sent, as soon as one has arrived."""
     until = time.monotonic() + 5.0
-    while (found := control._take_guarded(1.2)) == 0 and time.monotonic() < until:
+    while (found := control._take_guarded(now)) == 0 and time.monotonic() < until:
         time.sleep(0.001)
-    assert found == 1
+    return found
+
+
+def test_a_command_of_the_guard_that_is_newer_than_the_tick_counts_from_the_tick() -> None:
+    """The guard may send one between the beginning of a tick and the look at its messages."""
+    control, tracker, guard = control_and_guard()
+    guard.send(Guarded(1.3, np.array([0.5, 0.1])))
+    assert take_guarded(control, 1.2) == 1
     assert tracker.last_sent == 1.2
     tracker.commanded(1.2, np.zeros(2))
+
+
+def test_a_guard_that_has_driven_is_told_again_what_is_on_board() -> None:
+    """It may have stopped meanwhile, and would go on from where the vehicle was then if it had to drive again."""
+    control, _, guard = control_and_guard()
+    told = []
+    for now in (1.0, 1.1, 1.2):
+        if now == 1.2:
+            guard.send(Guarded(1.15, np.zeros(2)))
+            assert take_guarded(control, now) == 1
+        control._tell_guard(now, np.zeros(2), ())
+        assert guard.poll(5.0)
+        beat = guard.recv()
+        assert isinstance(beat, Beat)
+        told.append(beat.commitment is not None)
+    assert told == [True, False, True]
