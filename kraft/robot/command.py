@@ -187,9 +187,11 @@ class CommandCodec:
         else:
             assert self._car is not None, "it was checked"
             drive = message.drive if self._command.type == ACKERMANN else message
-            speed = float(drive.speed) / self._command.speed.scale
+            speed, steered = float(drive.speed) / self._command.speed.scale, float(drive.steering_angle)
+            if not math.isfinite(speed):  # the table of the speeds has a throttle for that, too
+                return None
             throttle = self._car.throttle_for(speed) if self._command.speed.unit == "m/s" else speed
-            angle = float(drive.steering_angle) - math.radians(self._command.steering.offset_deg)
+            angle = steered - math.radians(self._command.steering.offset_deg)
             found = np.zeros(len(self.names))
             found[self.names.index("throttle")] = throttle
             found[self.names.index("steering")] = angle / self._command.steering.scale

@@ -19,6 +19,7 @@ from kraft.driving.estimator_settings import Oracle
 from kraft.driving.messages import Commitment, Estimate, Observation, Reference, ReferenceKind
 from kraft.driving.on_board import OnBoard
 from kraft.driving.references import at_rest, standing_reference
+from kraft.errors import Defect
 from kraft.robot.command import CommandCodec
 from kraft.robot.inputs import Inputs
 from kraft.robot.messages import to_cdr
@@ -171,7 +172,14 @@ class Tracker:
         return command
 
     def publish(self, now: float, command: Floats) -> None:
-        """Send a command to the robot."""
+        """Send a command to the robot.
+
+        Raises:
+            Defect: if a number of it is not finite, of which a table of speeds or a motor would make any speed.
+        """
+        if not np.isfinite(command).all():
+            values = ", ".join(f"{value:g}" for value in command)
+            raise Defect(f"the command at t = {now:.3f} s is not finite: {values}")
         self._transport.publish(self._spec.robot.command.topic, self._codec.message(self.clocks.stamp(now), command))
 
     def commanded(self, time: float, command: Floats) -> None:

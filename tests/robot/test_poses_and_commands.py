@@ -14,7 +14,7 @@ from kraft.driving.car_model import CarModel
 from kraft.driving.messages import Commitment, Estimate
 from kraft.driving.method import load_method
 from kraft.driving.references import manoeuvre_reference
-from kraft.errors import Code, InputError
+from kraft.errors import Code, Defect, InputError
 from kraft.robot.command import CommandCodec, limited, unit_problem, unit_warnings
 from kraft.robot.drive import check_method, on_the_clock
 from kraft.robot.drive_tables import DriveTables
@@ -73,9 +73,29 @@ def test_a_speed_in_metres_per_second_is_the_one_that_the_model_reaches() -> Non
     assert message.drive.steering_angle == pytest.approx(0.1)
 
 
-def test_commands_that_are_no_numbers_are_none() -> None:
-    codec = CommandCodec(robot(), load_vehicle("mushr"))
-    assert codec.control(make("ackermann_msgs/msg/AckermannDriveStamped", drive={"speed": math.nan})) is None
+@pytest.mark.parametrize("unit", ["throttle", "m/s"])
+@pytest.mark.parametrize("drive", [{"speed": math.nan}, {"speed": math.inf}, {"steering_angle": math.nan}])
+def test_commands_that_are_no_numbers_are_none(unit: str, drive: dict[str, float]) -> None:
+    codec = CommandCodec(robot(command=command(speed={"unit": unit})), load_vehicle("mushr"))
+    assert codec.control(make("ackermann_msgs/msg/AckermannDriveStamped", drive=drive)) is None
+
+
+def test_a_command_that_is_no_number_is_not_sent() -> None:
+    """In metres per second it would be the top speed, in which the table of the speeds ends."""
+    described = robot(command=command(speed={"unit": "m/s"}))
+    spec = DriveSpec(
+        load_scenario("boxes").task(), load_method("adaptive-kraft"), load_vehicle("mushr"), described, 60.0
+    )
+    at = spec.at_rest((1.0, 2.0, 0.5))
+    stop = manoeuvre_reference(spec.vehicle, 0, np.array([0.0]), at[np.newaxis])
+    bus, sent = LoopbackBus(), list[float]()
+    node = bus.node("kraft")
+    bus.node("robot").subscribe("/drive", described.command.type, lambda message, _: sent.append(message.drive.speed))
+    tracker = Tracker(spec, BeginOrder(at, Commitment(stop)), node, Inputs(described, node))
+    with pytest.raises(Defect, match=r"the command at t = 1\.000 s is not finite: nan, 0\.1"):
+        tracker.publish(1.0, np.array([math.nan, 0.1]))
+    tracker.publish(1.0, np.array([0.0, 0.1]))
+    assert sent == [0.0]
 
 
 def test_the_controls_of_any_vehicle_fit_into_joints() -> None:
