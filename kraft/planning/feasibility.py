@@ -261,8 +261,12 @@ def reachable(problem: Problem, x: float, y: float) -> bool:
 
 
 def least_time(problem: Problem, x: float, y: float) -> float:
-    """Least time in which that disc gets from a point (m) to the goal at top speed, s, at the best cell around it."""
+    """Least time in which that disc gets from a point (m) to the goal at top speed, s, at the best cell around it.
+
+    It is `UNREACHABLE` without a way, and of a point that has no cell, as that of a vehicle far out of the bounds.
+    """
     scalar, togo = problem.scalar, problem.togo
     column = math.floor((x - scalar[at.GRID_X]) * scalar[at.GRID_INVERSE] - 0.5)
     row = math.floor((y - scalar[at.GRID_Y]) * scalar[at.GRID_INVERSE] - 0.5)
-    return float(togo[row : row + 2, column : column + 2].min())
+    around = togo[max(row, 0) : max(row + 2, 0), max(column, 0) : max(column + 2, 0)]
+    return float(around.min(initial=costtogo.UNREACHABLE))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 
 import pytest
@@ -10,7 +11,7 @@ from support.diagnostics import raised
 
 from kraft.errors import Diagnostic
 from kraft.planning import Budget
-from kraft.planning.feasibility import check_placement
+from kraft.planning.feasibility import check_placement, geodesic_time
 from kraft.planning.free_place import fits
 from kraft.planning.plan import plan_task
 from kraft.planning.workspace import start_state
@@ -88,3 +89,11 @@ def test_a_start_that_is_too_near_is_told_a_place_that_is_not(x: float) -> None:
     assert found is not None
     moved = room(f"{{x: {found[1]}, y: {found[2]}, heading_deg: 0}}")
     assert plan_task(moved, MUSHR, Budget(iterations=500)).progress.iterations == 500
+
+
+@pytest.mark.parametrize(("x", "y"), [(-0.6, 2.0), (2.0, -0.6), (-2.0, 1.0), (30.0, 1.0), (1.0, 30.0)])
+def test_no_way_leads_to_the_goal_from_out_of_the_bounds(x: float, y: float) -> None:
+    """As of a vehicle that has driven there, and gets a new goal."""
+    task = room("{x: 0.5, y: 0.5, heading_deg: 0}")
+    assert geodesic_time(task, MUSHR) < math.inf
+    assert geodesic_time(dataclasses.replace(task, start=dataclasses.replace(task.start, x=x, y=y)), MUSHR) == math.inf
