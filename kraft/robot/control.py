@@ -84,7 +84,7 @@ class ControlLoop:
         self._spec, self._transport, self._inputs, self._tasks = spec, transport, inputs, tasks
         self._mailbox, self._guard, self._tables, self._tracker = mailbox, guard, tables, tracker
         self._health = health
-        self._model, self._on_board = tracker.model, tracker.on_board
+        self._on_board = tracker.on_board
         self.period, self._cycle = spec.period, 0
         self._requests = DecisionRequests(tracker.settings.cycle, tracker.settings.lead)
         self._planned: deque[Planned] = deque()
@@ -252,7 +252,7 @@ class ControlLoop:
         if gap > timeout + self.period:
             if not driven:
                 halted = self._last_tick + timeout
-                self._command(halted, self._model.rest.copy(), self._tracker.estimate(max(halted, 0.0)))
+                self._command(halted, self._tracker.halt, self._tracker.estimate(max(halted, 0.0)))
             self._on_board.stop(self._tracker.estimate(now))
             who = "the brake guard" if driven else "the robot's multiplexer"
             self._stopped(now, f"the controller was held up for {gap:.2f} s, {who} took over")

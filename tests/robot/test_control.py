@@ -82,3 +82,12 @@ def test_a_guard_that_has_driven_is_told_again_what_is_on_board() -> None:
         assert isinstance(beat, Beat)
         told.append(beat.commitment is not None)
     assert told == [True, False, True]
+
+
+def test_of_a_pause_in_which_the_multiplexer_stopped_the_wheels_are_known_as_they_were() -> None:
+    control, tracker, _ = control_and_guard()
+    tracker.commanded(0.9, np.array([0.5, 0.3]))
+    control._last_tick = 0.9
+    control._hold_up(2.0)
+    sent = [(round(when, 6), *command.tolist()) for when, command, _ in control._sensed().ticks]
+    assert sent == [(0.9 + control._spec.robot.command.timeout, 0.0, 0.3)]
