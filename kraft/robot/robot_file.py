@@ -194,7 +194,7 @@ class Limits(StrictModel):
     """Limits that plans and commands keep, beside those of the vehicle."""
 
     speed: Annotated[float, Field(gt=0, le=100)] | None = None
-    """largest speed, m/s"""
+    """largest speed forwards, m/s"""
     steering_deg: Annotated[float, Field(gt=0, le=90)] | None = None
     """largest steering angle to either side, degrees"""
 
