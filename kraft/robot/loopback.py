@@ -32,6 +32,8 @@ class LoopbackBus:
         self.last: dict[str, Any] = {}
         self.receivers: dict[str, list[tuple[LoopbackNode, Receive]]] = defaultdict(list)
         self.publishers: dict[str, set[str]] = defaultdict(set)
+        self.lock = threading.Lock()
+        """for the receivers and publishers, which every client's thread changes; messages are delivered without it"""
 
     def node(self, name: str) -> LoopbackNode:
         """A transport whose publishers and subscribers have a name."""
@@ -50,7 +52,8 @@ class LoopbackNode:
 
     def advertise(self, topic: str, kind: str, *, latched: bool = False) -> None:
         """Announce messages."""
-        self._bus.publishers[topic].add(self.name)
+        with self._bus.lock:
+            self._bus.publishers[topic].add(self.name)
         if latched:
             self._latched.add(topic)
 
@@ -59,7 +62,9 @@ class LoopbackNode:
         if topic in self._latched:
             self._bus.last[topic] = message
         now = time.monotonic_ns()
-        for node, receive in list(self._bus.receivers[topic]):
+        with self._bus.lock:
+            receivers = list(self._bus.receivers[topic])
+        for node, receive in receivers:
             if node is not self:
                 receive(message, now)
 
@@ -68,21 +73,24 @@ class LoopbackNode:
         refused: Refused | None = None,
     ) -> None:  # fmt: skip
         """Receive the messages of a topic, and the last one of a latched topic at once."""
-        self._bus.receivers[topic].append((self, receive))
+        with self._bus.lock:
+            self._bus.receivers[topic].append((self, receive))
         if latched and topic in self._bus.last:
             receive(self._bus.last[topic], time.monotonic_ns())
 
     def peers(self, topic: str) -> Peers:
         """Publishers and subscribers of a topic, without this node."""
-        subscribers = {node.name for node, _ in self._bus.receivers[topic] if node is not self}
-        return Peers(frozenset(self._bus.publishers[topic] - {self.name}), frozenset(subscribers))
+        with self._bus.lock:
+            subscribers = {node.name for node, _ in self._bus.receivers[topic] if node is not self}
+            return Peers(frozenset(self._bus.publishers[topic] - {self.name}), frozenset(subscribers))
 
     def close(self) -> None:
         """Leave the bus."""
-        for receivers in self._bus.receivers.values():
-            receivers[:] = [each for each in receivers if each[0] is not self]
-        for publishers in self._bus.publishers.values():
-            publishers.discard(self.name)
+        with self._bus.lock:
+            for receivers in self._bus.receivers.values():
+                receivers[:] = [each for each in receivers if each[0] is not self]
+            for publishers in self._bus.publishers.values():
+                publishers.discard(self.name)
 
 
 LOOPBACK: Final = LoopbackBus()

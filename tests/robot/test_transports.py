@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -331,6 +332,34 @@ def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, tmp
     monkeypatch.setitem(sys.modules, "websockets.sync.client", None)
     with pytest.raises(MissingDependency, match="websockets"):
         open_transport(robot({"kind": "rosbridge", "url": "ws://localhost:1"}))
+
+
+def test_clients_that_come_and_go_at_once_lose_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that leaves looks at the topics of all, while another one adds some."""
+    bus, problems = LoopbackBus(), list[BaseException]()
+    monkeypatch.setattr(threading, "excepthook", lambda failed: problems.append(failed.exc_value))
+    topics, before = [f"/{k}" for k in range(2000)], sys.getswitchinterval()
+
+    def come() -> None:
+        node = bus.node("one")
+        for topic in topics:
+            node.subscribe(topic, POSE, lambda *_: None)
+
+    def go() -> None:
+        while coming.is_alive():
+            bus.node("other").close()
+
+    coming, going = threading.Thread(target=come), threading.Thread(target=go)
+    sys.setswitchinterval(1e-6)
+    try:
+        coming.start()
+        going.start()
+        coming.join()
+        going.join()
+    finally:
+        sys.setswitchinterval(before)
+    assert problems == []
+    assert [topic for topic in topics if len(bus.receivers[topic]) != 1] == []
 
 
 def test_an_answer_that_comes_too_late_is_dropped() -> None:
