@@ -53,6 +53,7 @@ class Display:
         )
         self._waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._feeder = threading.Thread(target=self._send, name="display", daemon=True)
+        self._has_ended = False
         self.problem = ""
         """why the bag, or what is displayed, is not complete"""
 
@@ -84,6 +85,8 @@ class Display:
 
         The thread starts with the first message, when all processes of the drive have been started.
         """
+        if self._has_ended:
+            return
         self._waiting.put(message)
         if self._feeder.ident is None:
             self._feeder.start()
@@ -92,8 +95,11 @@ class Display:
         while (message := self._waiting.get()) is not None:
             try:
                 self._ours.send(message)
-            except OSError:
-                return  # the display has ended, and the drive goes on
+            except OSError:  # the display has ended, and the drive goes on, which may be long
+                self._has_ended = True
+                while not self._waiting.empty():
+                    self._waiting.get()
+                return
 
     def sensed(self, sense: Sense) -> None:
         """Write what the controller sensed and sent into the bag."""

@@ -258,3 +258,16 @@ def test_the_bag_of_a_drive_is_complete_where_nobody_receives_what_is_displayed(
     (line,) = capfd.readouterr().err.splitlines()
     assert line.startswith("kraft display: plans are not shown: transport: nobody answers at ws://127.0.0.1:9")
     assert line.endswith("; the bag is written all the same")
+
+
+def test_nothing_is_kept_for_a_display_that_has_ended() -> None:
+    """A drive goes on without it, maybe for hours, and each cycle has a tree."""
+    task, method = load_scenario("turns").task(), load_method("adaptive-kraft")
+    display = Display(DriveSpec(task, method, load_vehicle("mushr"), load_robot("sim"), timeout=60.0), None)
+    display._theirs.close()  # as when its process ends
+    for _ in range(3):
+        display.sensed(Sense(EPOCH))
+    display._feeder.join(10.0)
+    assert not display._feeder.is_alive()
+    display.sensed(Sense(EPOCH))
+    assert display._waiting.empty()
