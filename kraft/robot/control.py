@@ -109,11 +109,13 @@ class ControlLoop:
     def run(self) -> Ended:
         """Drive until the goal, the time limit, an order, or a fault that does not go away."""
         shorten_collections()
+        self._peers = PeerWatch(
+            self._transport, self._spec.robot.command.topic
+        )  # it may wait for an answer for seconds
         lead_in = round(1e9 * LEAD_IN)
         timebase = self._inputs.clock
         self._tracker.start(Clocks(timebase.stamp() + lead_in, timebase.now() + lead_in, self._inputs.latency))
         self._guard.send(Guarding(self._tracker.clocks))
-        self._peers = PeerWatch(self._transport, self._spec.robot.command.topic)
         threading.Thread(target=self._watch_peers, name="peers", daemon=True).start()
         number = math.ceil(-LEAD_IN / self.period) + 1
         while True:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
+import pytest
 
 from kraft.driving.messages import Commitment, Reference, ReferenceKind
 from kraft.driving.method import load_method
@@ -20,6 +23,7 @@ from kraft.robot.protocol import Beat, BeginOrder, DriveSpec, Guarded, Mailbox
 from kraft.robot.robot_file import Robot
 from kraft.robot.task_inputs import TaskInputs
 from kraft.robot.tracker import Tracker
+from kraft.robot.transport import Peers
 from kraft.scenario import load_scenario
 from kraft.vehicles.load import load_vehicle
 
@@ -91,3 +95,25 @@ def test_of_a_pause_in_which_the_multiplexer_stopped_the_wheels_are_known_as_the
     control._hold_up(2.0)
     sent = [(round(when, 6), *command.tolist()) for when, command, _ in control._sensed().ticks]
     assert sent == [(0.9 + control._spec.robot.command.timeout, 0.0, 0.3)]
+
+
+def test_a_network_that_is_slow_to_tell_who_publishes_does_not_count_as_a_pause(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A rosbridge without rosapi does not answer at all."""
+    control, _, _guard = control_and_guard()  # its planner has ended, and so does the drive
+    events, peers = list[str](), control._transport.peers
+
+    def slow(topic: str) -> Peers:
+        if threading.current_thread() is threading.main_thread():
+            time.sleep(1.0)
+        return peers(topic)
+
+    tables = SimpleNamespace(
+        row=lambda name, *values: events.append(values[-1]) if name == "events" else None, problem=""
+    )
+    monkeypatch.setattr(control, "_tables", tables)
+    monkeypatch.setattr(control._transport, "peers", slow)
+    monkeypatch.setattr("kraft.robot.control.shorten_collections", lambda: None)
+    assert control.run().reason == "the planner has ended"
+    assert events == ["stopped: the planner has ended"]
