@@ -109,9 +109,8 @@ class ControlLoop:
     def run(self) -> Ended:
         """Drive until the goal, the time limit, an order, or a fault that does not go away."""
         shorten_collections()
-        self._peers = PeerWatch(
-            self._transport, self._spec.robot.command.topic
-        )  # it may wait for an answer for seconds
+        # before the clock of the drive begins: it may wait for an answer of the network for seconds
+        self._peers = PeerWatch(self._transport, self._spec.robot.command.topic)
         lead_in = round(1e9 * LEAD_IN)
         timebase = self._inputs.clock
         self._tracker.start(Clocks(timebase.stamp() + lead_in, timebase.now() + lead_in, self._inputs.latency))
