@@ -128,9 +128,9 @@ class PoseGuard:
         for x, y, theta in expected:
             off = math.hypot(pose[0] - x, pose[1] - y)
             turned = abs(math.remainder(pose[2] - theta, math.tau))
-            if off > allowed:
+            if not off <= allowed:  # also where what is expected is no number
                 reasons.append(f"the poses jumped: {off:.2f} m from the predicted position")
-            elif turned > math.radians(watchdog.jump_deg):
+            elif not turned <= math.radians(watchdog.jump_deg):
                 reasons.append(f"the poses turned: {math.degrees(turned):.0f} degrees from the predicted heading")
             else:
                 return ""

@@ -292,6 +292,13 @@ def test_a_pose_where_the_commands_lead_is_believed_when_what_was_learned_leads_
     assert refusing.observation(received(9.1, (1.0, 2.0, 2.5)), drifted, HERE, 0.0, 5.0) is None
 
 
+@pytest.mark.parametrize("expected", [(math.nan, 2.0, 0.5), (1.0, 2.0, math.nan)])
+def test_a_pose_is_not_believed_because_what_is_expected_is_no_number(expected: tuple[float, float, float]) -> None:
+    assert guard().observation(received(3.0, (50.0, 2.0, 0.5)), expected, expected, 0.5, 0.03) is None
+    assert guard().observation(received(3.0, (1.0, 2.0, 3.0)), expected, expected, 0.5, 0.03) is None
+    assert guard().observation(received(3.0), expected, HERE, 0.5, 0.03)
+
+
 def test_a_heading_across_the_seam_is_no_turn() -> None:
     expected = (1.0, 2.0, -math.pi + 0.1)
     assert guard().observation(received(3.0, (1.0, 2.0, math.pi - 0.1)), expected, expected, 0.5, 0.03)
