@@ -75,14 +75,16 @@ class Outbox(Generic[Operation, Content]):
     def put(self, topic: str, content: Content) -> None:
         """Add a message, which replaces an older one of the topic that still waits."""
         with self.changed:
-            self.newest[topic] = content
-            self.changed.notify()
+            if not self.closed:
+                self.newest[topic] = content
+                self.changed.notify()
 
     def operate(self, operation: Operation) -> None:
         """Add an operation, which is sent before all messages that wait."""
         with self.changed:
-            self.operations.append(operation)
-            self.changed.notify()
+            if not self.closed:
+                self.operations.append(operation)
+                self.changed.notify()
 
     def close(self) -> None:
         """Accept nothing more; what waits can still be taken."""

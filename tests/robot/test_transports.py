@@ -42,7 +42,7 @@ from kraft.robot.messages import (
 from kraft.robot.robot_file import Robot, Ros2, Rosbridge
 from kraft.robot.ros2 import dds_topic, dds_type, domain_number
 from kraft.robot.rosbridge import RosbridgeClient, RosbridgeServer
-from kraft.robot.transport import Answers, Transport
+from kraft.robot.transport import Answers, Outbox, Transport
 
 DOMAINS = itertools.count(100 + threading.get_native_id() % 100)
 COMMAND = make(ACKERMANN, header=header(5, "base_link"), drive={"speed": 0.5, "steering_angle": -0.25})
@@ -360,6 +360,17 @@ def test_clients_that_come_and_go_at_once_lose_nothing(monkeypatch: pytest.Monke
         sys.setswitchinterval(before)
     assert problems == []
     assert [topic for topic in topics if len(bus.receivers[topic]) != 1] == []
+
+
+def test_an_outbox_that_is_closed_accepts_nothing_more() -> None:
+    """Nobody takes from that of a connection that is lost, which a controller asks once a second who publishes."""
+    outbox = Outbox[str, int]()
+    outbox.put("/a", 1)
+    outbox.close()
+    outbox.put("/b", 2)
+    outbox.operate("peers")
+    assert outbox.take() == ([], [("/a", 1)])
+    assert outbox.take() is None
 
 
 def test_an_answer_that_comes_too_late_is_dropped() -> None:
