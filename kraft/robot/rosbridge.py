@@ -188,9 +188,9 @@ class RosbridgeClient:
             with self._lock:
                 self._socket, self._problem = opened, ""
                 self.connections += 1
-            for content in self._announced.values():
+            for content in list(self._announced.values()):  # another thread may add to both
                 self._outbox.operate(json.dumps(content))
-            for topic in self._subscriptions:
+            for topic in list(self._subscriptions):
                 self._outbox.operate(json.dumps(self._subscription(topic)))
             return
 

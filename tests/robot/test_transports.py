@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -360,6 +361,22 @@ def test_clients_that_come_and_go_at_once_lose_nothing(monkeypatch: pytest.Monke
         sys.setswitchinterval(before)
     assert problems == []
     assert [topic for topic in topics if len(bus.receivers[topic]) != 1] == []
+
+
+def test_what_is_announced_while_a_rosbridge_is_connected_again_does_not_end_its_receiver() -> None:
+    """The check list announces the commands, and the connection may have been lost just before."""
+    client = RosbridgeClient.__new__(RosbridgeClient)
+    client._announced, client._subscriptions, client._lock = {"/a": {"op": "advertise"}}, {}, threading.Lock()
+    client._problem, client.connections = "lost", 1
+
+    def announce(_: str) -> None:
+        client._announced["/drive"] = {"op": "advertise"}
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(client, "_outbox", SimpleNamespace(closed=False, operate=announce), raising=False)
+        patch.setattr(client, "_connect", lambda: None)
+        client._reconnect()
+    assert (client._problem, client.connections) == ("", 2)
 
 
 def test_an_outbox_that_is_closed_accepts_nothing_more() -> None:
