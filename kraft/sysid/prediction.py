@@ -77,6 +77,10 @@ HORIZONS = (1.0, 2.0, 3.0)
 """Times after the beginning of a window at which errors are evaluated, s."""
 BIN = 0.1
 """Width of a bin of time since a window's beginning, s."""
+FARTHEST = 5e5
+"""Largest distance in x and in y (m), and turn (rad), of a predicted pose from where its window begins.
+
+A prediction that diverges is there: its error is a number, and larger than all others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +104,8 @@ def predict_windows(
 ) -> tuple[Window, ...]:
     """Predict every window of the logs with the parameters `values`, auxiliary ones included.
 
-    Parameters without a value have that of `settings`, else that of the vehicle; auxiliary parameters are 0.
+    Parameters without a value have that of `settings`, else that of the vehicle; auxiliary parameters are 0.  A
+    prediction that diverges is `FARTHEST` from where it begins.
 
     Raises:
         InputError: if the logs cannot be used, or `values` has a parameter that does not exist.
@@ -118,10 +123,19 @@ def predict_windows(
         predicted = _with_deviations(pieces, parameters, settings, varying)
     else:
         predicted = _with_states(pieces, len(usable), parameters, settings)
-    return tuple(
-        Window(usable[p.segment.log].name, p.segment.part.pose_times[p.ahead], p.segment.part.poses[p.ahead], poses)
-        for p, poses in zip(pieces, predicted, strict=True)
-    )
+    found = []
+    for piece, poses in zip(pieces, predicted, strict=True):
+        part, own = piece.segment.part, piece.ahead
+        bounded = _bounded(poses, part.poses[own.start])
+        found.append(Window(usable[piece.segment.log].name, part.pose_times[own], part.poses[own], bounded))
+    return tuple(found)
+
+
+def _bounded(poses: Matrix, start: Floats) -> Matrix:
+    """Poses (n, 3) no farther than `FARTHEST` from the pose `start` (3,); those that are no numbers are as far."""
+    off = poses - start
+    bounded: Matrix = start + np.clip(np.nan_to_num(off, nan=FARTHEST), -FARTHEST, FARTHEST)
+    return np.where(np.abs(off) < FARTHEST, poses, bounded)
 
 
 def _with_deviations(
