@@ -330,9 +330,9 @@ def window_errors(predicted: Sequence[Window]) -> PredictionErrors:
     interval = np.concatenate([np.full(len(w.times), np.median(np.diff(w.times))) for w in predicted])
     off = np.concatenate([w.predicted - w.poses for w in predicted])
     position, yaw = np.hypot(off[:, 0], off[:, 1]), off[:, 2]
-    at = {after: np.abs(since - after) <= 0.75 * interval for after in HORIZONS}
+    later = since > 0.0  # the first pose of a window is known, not predicted
+    at = {after: later & (np.abs(since - after) <= 0.75 * interval) for after in HORIZONS}
     reached = {after: chosen for after, chosen in at.items() if chosen.any()}
-    later = since > 0.0
     return PredictionErrors(
         {after: _rms(position, chosen) for after, chosen in reached.items()},
         {after: _rms(yaw, chosen) for after, chosen in reached.items()},

@@ -1,4 +1,4 @@
-"""Errors of open-loop predictions: of those that diverge."""
+"""Errors of open-loop predictions: of those that diverge, and of few poses a second."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from support.sysid import fake_evaluation, fake_identification, fake_log, fake_w
 from kraft.sysid import prediction
 from kraft.sysid.acceptance import PredictionPair, objections
 from kraft.sysid.data import LogSplit
-from kraft.sysid.prediction import predict_windows
+from kraft.sysid.prediction import Window, predict_windows, window_errors
 from kraft.sysid.vehicle_file import identification_record
 from kraft.vehicles.load import load_vehicle
 
@@ -36,3 +36,11 @@ def test_initial_values_that_diverge_are_worse_than_those_that_predict_well_and_
     record = identification_record("mushr", result, split, evaluation)
     assert record.held_out_before is not None
     assert record.held_out_before.overall_position == pytest.approx(unseen.initial_errors.overall_position)
+
+
+def test_the_pose_at_which_a_window_begins_is_no_prediction() -> None:
+    """Poses 1.4 s apart: that at the beginning is nearer to 1 s than their distance."""
+    times = np.array([0.0, 1.4, 2.8])
+    predicted = np.column_stack([0.1 * times, np.zeros(3), np.zeros(3)])
+    errors = window_errors([Window("log", times, np.zeros((3, 3)), predicted)])
+    assert errors.position[1.0] == pytest.approx(0.14)
