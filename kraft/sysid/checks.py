@@ -294,9 +294,9 @@ def lasting_correlations(uncertainty: ParameterUncertainty) -> Floats:
         return found
     for k in range(len(uncertainty.shifts)):
         others = np.delete(uncertainty.shifts, k, axis=0)
-        with np.errstate(invalid="ignore"):  # not a number, and so not smaller, where the others agree to the last bit
-            without = correlations(np.cov(others, rowvar=False, ddof=0).reshape(found.shape))
-            found = np.where(np.abs(without) < np.abs(found), without, found)
+        without = correlations(np.cov(others, rowvar=False, ddof=0).reshape(found.shape))
+        # not a number, and so not smaller, where the others agree to the last bit
+        found = np.where(np.abs(without) < np.abs(found), without, found)
     return found
 
 

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
+import numpy as np
+
 from ompl_ext.arrays import Floats
 
 AuxiliarySelection = Literal["auto", "plan", "none"] | tuple[str, ...]
@@ -249,14 +251,18 @@ class Identification:
 
     @property
     def correlation(self) -> Floats:
-        """(names, names) correlation of the estimated parameters."""
-        return correlations(self.covariance)
+        """(names, names) correlation of the estimated parameters; 0 of one whose estimates without a log are all alike.
+
+        Those are alike, to the last bit, where no log shows the parameter.
+        """
+        return np.nan_to_num(correlations(self.covariance))
 
 
 def correlations(covariance: Floats) -> Floats:
-    """(n, n) correlations for a covariance (n, n)."""
+    """(n, n) correlations for a covariance (n, n); NaN for what does not vary."""
     std = covariance.diagonal() ** 0.5
-    found: Floats = covariance / (std[:, None] * std[None, :])
+    with np.errstate(invalid="ignore"):
+        found: Floats = covariance / (std[:, None] * std[None, :])
     return found
 
 

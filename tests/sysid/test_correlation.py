@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.sysid import fake_identification
 
 from kraft.sysid.checks import _best_correlation, lasting_correlations
-from kraft.sysid.optimiser import ParameterUncertainty
+from kraft.sysid.optimiser import ParameterUncertainty, RhoFactors, estimate_uncertainty
 
 
 @pytest.mark.parametrize("samples", [1, 2, 3, 10, 11, 12])
@@ -33,3 +34,22 @@ def test_parameters_that_one_log_alone_moves_together_are_distinguishable(
     assert covariance[0, 1] ** 2 > 0.95**2 * covariance[0, 0] * covariance[1, 1]
     uncertainty = ParameterUncertainty("sandwich", np.eye(2), covariance, 2.0, moved, np.zeros(2, bool))
     assert (abs(lasting_correlations(uncertainty)[0, 1]) > 0.95) == lasts
+
+
+def test_a_parameter_that_no_log_shows_has_correlations_that_json_and_the_page_can_hold() -> None:
+    """Six logs: the third parameter has an effect in none, so that all of them leave it at its prior."""
+    generator = np.random.default_rng(0)
+    information, gradient = np.zeros((6, 3, 3)), np.zeros((6, 3))
+    for own in information:
+        effects = generator.normal(size=(20, 2))
+        own[:2, :2] = effects.T @ effects
+    gradient[:, :2] = generator.normal(size=(6, 2))
+    factors = RhoFactors(information, gradient, np.ones(3), np.zeros(3))
+    free = np.ones(3, dtype=bool)
+    found = estimate_uncertainty(factors, free, ~free)
+    assert found.kind == "sandwich"
+    assert found.std[2] == 0.0
+    correlation = fake_identification((), covariance=found.covariance).correlation
+    assert np.isfinite(correlation).all()
+    assert correlation[0, 0] == pytest.approx(1.0)
+    assert abs(correlation[0, 1]) > 0.1
