@@ -143,7 +143,7 @@ def write_worlds(
                 (folder / name).write_bytes(content)
         for world, least in zip(worlds, _check_all(worlds, out, folder, log), strict=True):
             (folder / f"{world.name}.yaml").write_bytes(_with_time(world, least).text.encode())
-        entries = [f"  - {{name: {world.name}, scenario: {world.name}.yaml}}" for world in worlds]
+        entries = [f"  - {value_text({'name': each.name, 'scenario': f'{each.name}.yaml'})}" for each in worlds]
         heading = [f"name: {value_text(plain_name(suite))}", f"description: {value_text(description)}", "entries:"]
         (folder / SUITE).write_text("\n".join([*heading, *entries]) + "\n", encoding="utf-8")
     return Written(out, tuple(out / f"{world.name}.yaml" for world in worlds))

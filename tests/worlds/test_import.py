@@ -353,6 +353,16 @@ def test_a_map_stays_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert f"{out}: is there already; expected a new folder" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("name", ["300", "1e3", "null", "floor-2"])
+def test_the_suite_of_a_world_whose_name_yaml_would_read_as_something_else_can_be_loaded(
+    name: str, tmp_path: Path
+) -> None:
+    source = map_file(tmp_path).rename(tmp_path / f"{name}.yaml")
+    out = tmp_path / "out"
+    import_worlds(Request("map", (source,), out, vehicle="mushr", start=(2.0, 4.0, 0.0), goal=(6.0, 4.0, 0.25)))
+    assert [(entry.name, entry.scenario.name) for entry in load_suite(out / "suite.yaml")] == [(name, name)]
+
+
 def test_a_vehicle_that_is_not_the_robot_that_drives_is_warned_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
