@@ -40,7 +40,7 @@ def worlds_in(folder: Path) -> list[Path]:
     if not found:
         expected = f"expected files *{', *'.join(SUFFIXES)}"
         raise InputError.of(str(folder), "has no worlds", expected, Code.NOT_FOUND)
-    return sorted(found, key=lambda path: [int(word) if word.isdigit() else word for word in _words(path.name)])
+    return sorted(found, key=lambda path: [int(word) if word.isdecimal() else word for word in _words(path.name)])
 
 
 def _words(name: str) -> list[str]:
