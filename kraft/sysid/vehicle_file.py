@@ -113,7 +113,7 @@ def vehicle_text(
     offset = f", offset: {_number(shape.offset)}" if shape.offset else ""
     lines = [
         *header,
-        f"name: {name}",
+        f"name: {_text(name, flow=False)}",
         f"description: {_text(description, flow=False)}",
         "",
         f"model: {_model(base.model, folder)}",

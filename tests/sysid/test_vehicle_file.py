@@ -81,6 +81,11 @@ def test_the_file_is_the_vehicle_with_other_numbers(tmp_path: Path) -> None:
     assert main(["validate", str(tmp_path / "mine.yaml")]) == 0
 
 
+@pytest.mark.parametrize("name", ["300", "1e3", "null", "car-2"])
+def test_a_name_that_yaml_would_read_as_something_else_stays_a_name(name: str, tmp_path: Path) -> None:
+    assert written(tmp_path / f"{name}.yaml").name == name
+
+
 def test_the_file_says_where_its_numbers_come_from(tmp_path: Path) -> None:
     found = written(tmp_path / "mine.yaml").identification
     assert found is not None
