@@ -15,6 +15,7 @@ from kraft.driving.control_settings import UserCode
 from kraft.driving.method import Method
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation.experiment import Experiment
+from kraft.evaluation.robots import robots_of
 from kraft.planning.plan_file import vehicle_content
 from kraft.provenance import MISSING, SIMULATION, difference_text, differences, plain, plain_hash, versions
 from kraft.scenario import Scenario
@@ -41,7 +42,7 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
     """Content of the manifest; `arguments` are those of the user, as written."""
     cells = experiment.cells
     vehicles = {cell.reference: vehicle_content(cell.vehicle, cell.reference) for cell in cells}
-    labels = _labels({cell.reference: cell.vehicle.name for cell in cells})
+    labels, robots = _labels({cell.reference: cell.vehicle.name for cell in cells}), robots_of(cells)
     for reference, content in vehicles.items():
         vehicle = next(cell.vehicle for cell in cells if cell.reference == reference)
         content["code"] = vehicle.hash
@@ -67,6 +68,7 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
                 "method": cell.method.name,
                 "title": cell.method.title,
                 "vehicle": labels[cell.reference],
+                "robot": robots[cell.key],
                 "of_paper": cell.of_paper,
                 **_score(cell.scenario),
             }
@@ -138,6 +140,7 @@ def check_continues(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) 
         _relabel_vehicles(before, after)
         grown = _remove_additions(was, now, before, after)
     _remove_uncommon_rows(before, after)
+    _remove_uncommon_robots(before, after)
     differing = list(differences(before, after))
     if differing:
         raise InputError(
@@ -175,6 +178,7 @@ def manifest_differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> li
         common = before.get(section, {}).keys() & after.get(section, {}).keys()  # older manifests have no methods
         for content in (before, after):
             content[section] = {name: value for name, value in content.get(section, {}).items() if name in common}
+    _remove_uncommon_robots(before, after)
     return [Difference(*found) for found in differences(before, after)]
 
 
@@ -218,11 +222,30 @@ def _remove_uncommon_rows(before: dict[str, Any], after: dict[str, Any]) -> None
                 content["vehicles"].pop(label, None)
 
 
+def _remove_uncommon_robots(before: dict[str, Any], after: dict[str, Any]) -> None:
+    """Keep the true robots of rows that state them on both sides, and of those that differ alike the first one.
+
+    Older manifests state none.
+    """
+    one, other = before["robots"], after["robots"]
+    kept: dict[str, str] = {}
+    for row in one:
+        if row in other:
+            kept.setdefault(json.dumps([one[row], other[row]], sort_keys=True), row)
+    for content, robots in ((before, one), (after, other)):
+        content["robots"] = {row: robots[row] for row in kept.values()}
+
+
 def _compared(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields that must be equal, as read back from JSON; rows by name, because their order does not matter."""
+    """Fields that must be equal, as read back from JSON; vehicles and true robots by the name of their row.
+
+    The order of the rows does not matter.
+    """
     kept = {key: value for key, value in content.items() if key not in DESCRIPTIVE}
-    rows = {f"{row.get('entry', row['scenario'])}, {row['method']}": row["vehicle"] for row in kept["rows"]}
-    result: dict[str, Any] = json.loads(json.dumps({**kept, "rows": rows}))
+    names = {f"{row.get('entry', row['scenario'])}, {row['method']}": row for row in kept["rows"]}
+    rows = {name: row["vehicle"] for name, row in names.items()}
+    robots = {name: row["robot"] for name, row in names.items() if "robot" in row}
+    result: dict[str, Any] = json.loads(json.dumps({**kept, "rows": rows, "robots": robots}))
     return result
 
 
@@ -234,6 +257,8 @@ def _difference(keys: tuple[str, ...], before: Any, after: Any) -> str:
         return f"{part} is not in the folder's evaluation"
     if keys[-1] == CODE_HASH and MISSING not in (before, after):
         return "the file of the controller's code has changed"
+    if keys[0] == "robots" and keys[-1] == "sha256":
+        return "the file of the true robot has changed"
     return f"{part} is missing now" if known and after is MISSING else difference_text(before, after)
 
 

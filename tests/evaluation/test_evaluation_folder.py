@@ -21,7 +21,7 @@ from kraft.errors import Code, InputError
 from kraft.evaluation import Evaluation, Observer, TrialRow, evaluate, folder
 from kraft.evaluation.experiment import experiment_of
 from kraft.evaluation.journal import Journal, read_journal
-from kraft.evaluation.manifest import check_continues, manifest_of
+from kraft.evaluation.manifest import check_continues, manifest_differences, manifest_of
 from kraft.vehicles.load import load_vehicle
 
 SCENARIOS, METHODS = ("turns", "slip"), ("oneshot-openloop", "kraft")
@@ -389,3 +389,33 @@ def test_a_manifest_does_not_depend_on_where_files_are(tmp_path: Path) -> None:
         experiment = experiment_of(["turns"], ["kraft"], vehicle=str(tmp_path / name / "car.yaml"))
         contents.append(manifest_of(experiment, {}))
     assert not check_continues(tmp_path, *contents)
+
+
+@pytest.mark.parametrize(
+    ("name", "scene", "file", "old", "new", "path"),
+    [
+        ("mushr", "turns", "mushr.yaml", "footprint:", "truth: {car: {mass: 4}}\nfootprint:", "turns, kraft.car.mass"),
+        ("jackal", "posts", "jackal.xml", "<mujoco", "<!-- heavier --><mujoco", "posts, kraft.mjcf.sha256"),
+    ],
+)
+def test_a_folder_of_a_robot_that_has_changed_is_refused_once_and_one_that_states_none_is_continued(
+    name: str, scene: str, file: str, old: str, new: str, path: str, tmp_path: Path
+) -> None:
+    """The true robot is in the file of the vehicle, or in another one that this names."""
+    for each in ("mushr.yaml", "jackal.yaml", "jackal.xml"):
+        (tmp_path / each).write_text((ROOT / "configs/vehicles" / each).read_text())
+
+    def manifest() -> dict[str, Any]:
+        return manifest_of(experiment_of([scene], ["kraft", "oneshot-openloop"], vehicle=f"{tmp_path}/{name}.yaml"), {})
+
+    before = manifest()
+    assert not check_continues(tmp_path, before, manifest())
+    text = (tmp_path / file).read_text()
+    (tmp_path / file).write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        check_continues(tmp_path, before, manifest())
+    assert [each.path for each in caught.value.diagnostics] == [f"robots.{path}"]
+    assert [".".join(each.path) for each in manifest_differences(before, manifest())] == [f"robots.{path}"]
+    for row in before["rows"]:
+        del row["robot"]
+    assert not check_continues(tmp_path, before, manifest())
