@@ -72,7 +72,7 @@ def test_a_folder_holds_everything(tmp_path: Path) -> None:
     assert (content["trials"], content["seed"]) == (3, 5)
     assert content["rows"][1] == {
         "entry": "turns", "base": "turns", "scenario": "turns", "reference": "turns", "set": {}, "method": "kraft",
-        "title": "KRAFT", "vehicle": "mushr-drive", "of_paper": True,
+        "title": "KRAFT", "vehicle": "mushr-drive", "robot": {"car": {}}, "of_paper": True,
     }  # fmt: skip
     assert content["scenarios"]["slip"]["content"]["truth"]["friction_patches"]
     assert content["methods"]["kraft"]["content"]["planner"]["mode"] == "replanning"
