@@ -244,6 +244,17 @@ def with_backward_commands(base: BaseVehicle, logs: Sequence[Log]) -> BaseVehicl
     return replace(base, definition=changed, vehicle=configured(changed))
 
 
+def with_coasting(base: BaseVehicle) -> BaseVehicle:
+    """The car with throttle 0 within its limits: a car that no log shows without throttle can be left without it."""
+    config = base.definition
+    assert isinstance(config, VehicleConfig)  # a vehicle file with terms
+    low, high = base.vehicle.controls["throttle"]
+    if low <= 0.0 <= high:
+        return base
+    changed = config.with_controls({**base.vehicle.controls, "throttle": (min(low, 0.0), max(high, 0.0))})
+    return replace(base, definition=changed, vehicle=configured(changed))
+
+
 def for_sides(base: BaseVehicle, logs: Sequence[Log]) -> BaseVehicle:
     """The robot with two driven sides with the limits of the commands in the logs, the same for both sides."""
     config = base.definition

@@ -17,6 +17,7 @@ from kraft.sysid.base_vehicle import (
     for_wheelbase,
     load_base_vehicle,
     with_backward_commands,
+    with_coasting,
     with_speed,
 )
 from kraft.sysid.checks import SteeringInMotion
@@ -205,7 +206,7 @@ def _with_terms(
     on_stage(f"model 1 of {MODELS}, {CARS[0]}, the terms that the logs need")
     choice = identify_terms(definitions[0], logs, settings, on_iteration, definitions[1])
     base = next(each for each in cars if each.definition is choice.vehicle)
-    return IdentifiedCar(with_speed(base, choice.identification, logs), choice.identification)
+    return IdentifiedCar(with_coasting(with_speed(base, choice.identification, logs)), choice.identification)
 
 
 def with_wheelbase(

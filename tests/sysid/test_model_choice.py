@@ -7,7 +7,7 @@ from support.cars import car, drive
 
 from kraft.errors import NegativeResult
 from kraft.sysid import Identification, Settings, model_choice, prediction_errors
-from kraft.sysid.base_vehicle import load_base_vehicle, with_backward_commands
+from kraft.sysid.base_vehicle import for_commands, load_base_vehicle, with_backward_commands, with_coasting
 from kraft.sysid.model_choice import identify_car
 
 
@@ -18,6 +18,7 @@ def test_a_fast_car_without_lags_is_not_fitted_with_lags() -> None:
     found = identify_car(logs, on_stage=stages.append)
     assert stages[:2] == ["model 1 of 3, car-lag, its wheelbase", "model 1 of 3, car-lag, the terms that the logs need"]
     assert found.base.name == "car"
+    assert found.base.vehicle.controls["throttle"][0] == 0.0  # which no log has
     errors = prediction_errors(found.base.definition, [drive(model, 90)], found.identification.values)
     assert errors.position[3.0] < 0.03
 
@@ -50,3 +51,15 @@ def test_a_known_car_has_the_backward_commands_of_the_logs() -> None:
     assert changed.vehicle.controls["throttle"] == (pytest.approx(part.commands[:, 0].min()), 1.0)
     assert part.commands[:, 0].min() < -0.2
     assert changed.vehicle.controls["steering"] == base.vehicle.controls["steering"]
+
+
+def test_a_car_that_no_log_shows_without_throttle_can_be_planned_to_stop() -> None:
+    """With throttle of at least 0.15 alone, no contingency would ever come to rest."""
+    logs = [drive(car(), 0), drive(car(), 1)]
+    base = for_commands(load_base_vehicle("car"), logs)
+    low, high = base.vehicle.controls["throttle"]
+    assert low > 0.15
+    changed = with_coasting(base).vehicle.controls
+    assert changed == {**base.vehicle.controls, "throttle": (0.0, high)}
+    braking = for_commands(load_base_vehicle("car"), [drive(car(), 1, low=(-0.6, -0.5))])
+    assert with_coasting(braking) is braking
