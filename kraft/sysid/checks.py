@@ -88,11 +88,12 @@ class SteeringInMotion:
         commands, moved, turned = [], [], 0.0
         for log in logs:
             k = log.controls.index("steering")
-            for part in log.parts:
+            ways = [np.hypot(*np.diff(part.poses[:, :2], axis=0).T) for part in log.parts]
+            least = MOVING_SHARE * np.quantile(np.concatenate(ways), 0.95)
+            for part, way in zip(log.parts, ways, strict=True):
                 at = np.searchsorted(part.command_times, part.pose_times, side="right") - 1
                 own = part.commands[np.maximum(at, 0), k]
-                way = np.hypot(*np.diff(part.poses[:, :2], axis=0).T)
-                moving = way > MOVING_SHARE * np.quantile(way, 0.95)
+                moving = way > least
                 turned += float(np.abs(np.diff(own))[moving].sum())
                 commands.append(own[1:][moving])
                 moved.append(way[moving])

@@ -402,6 +402,16 @@ def test_a_lag_of_the_steering_shows_where_it_changes_in_motion(hold: int, chang
     assert (steered.varies, steered.both_sides, steered.changes) == (True, True, changes)
 
 
+def test_steering_of_a_car_that_stands_for_a_part_of_a_log_is_none_in_motion() -> None:
+    """Its poses move by the noise alone, and by a tenth of that in most steps."""
+    (driven,) = drive(car(), 0, low=(0.5, 0.2)).parts
+    noise = np.random.default_rng(0).normal(0.0, 0.001, driven.poses.shape)
+    right = np.column_stack([np.zeros(len(driven.commands)), np.where(driven.commands[:, 1] > 0.5, -0.5, -0.9)])
+    standing = replace(driven, poses=driven.poses[-1] + noise, commands=right)
+    steered = SteeringInMotion.of([Log("log", (), ("throttle", "steering"), (driven, standing))])
+    assert (steered.varies, steered.both_sides) == (True, False)
+
+
 def test_constant_motion_predicts_a_circle() -> None:
     times = 0.05 * np.arange(200)
     yaw = 0.5 * times
