@@ -25,7 +25,7 @@ from kraft.evaluation.journal import trial_row
 from kraft.evaluation.manifest import manifest_of
 from kraft.evaluation.report import Results, page, read_results
 from kraft.evaluation.report import results as of_report
-from kraft.evaluation.report.sweeps import Statistic, label_of, nice_ticks, sweep_pictures, sweeps
+from kraft.evaluation.report.sweeps import GREY, Statistic, label_of, nice_ticks, sweep_pictures, sweeps
 from kraft.evaluation.statistics import wilson
 from kraft.evaluation.summary import measures_json, summarise
 from kraft.text import percent
@@ -102,6 +102,8 @@ def test_points_of_a_sweep_are_at_their_values_and_shares(monkeypatch: pytest.Mo
     for xs in places.values():
         assert (xs[1] - xs[0]) / (xs[4] - xs[0]) == pytest.approx(0.25, abs=1e-3)
     assert drawing.get("xmlns") == "http://www.w3.org/2000/svg"
+    values = [e.text for e in drawing.iter("text") if (e.get("fill"), e.get("text-anchor")) == (GREY, "middle")]
+    assert values == ["0", "1", "4"] * 2  # below each panel
 
 
 def test_shares_and_times_of_a_sweep_are_those_of_the_summary(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -319,7 +319,7 @@ def _panel(frame: _Frame, measure: _Measure, axis: Axis, *, first: bool, last: b
             yield _text(measure.text(tick), frame.x - 8.0, y + 4.0, anchor="end", fill=GREY)
     yield element("line", x1=frame.x, x2=right, y1=bottom, y2=bottom, stroke=GREY, stroke_width=1.0)
     until = -math.inf
-    for place, text in zip(axis.places, axis.texts, strict=True):
+    for place, text in sorted(zip(axis.places, axis.texts, strict=True)):  # values may be given in any order
         x = frame.across(_share_of_axis(axis, place))
         yield element("line", x1=x, x2=x, y1=bottom, y2=bottom + 4.0, stroke=GREY, stroke_width=1.0)
         half = CHARACTER * len(text) / 2
