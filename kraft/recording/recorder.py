@@ -30,6 +30,7 @@ from kraft.recording.manoeuvres import COMMAND_RATE, NAMES, Manoeuvre, manoeuvre
 from kraft.scenario import Box, Scenario, Start
 from kraft.simulation.true_world import true_robot, world_of
 from kraft.trial.plant import Plant
+from kraft.trial.robot_content import model_content, robot_content
 from kraft.vehicles.load import RecordedVehicle
 from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.exact import ExactClearance
@@ -124,6 +125,7 @@ class Recording:
         manoeuvre: commanded manoeuvre.
         place: start of the run.
         vehicle: what is known of the vehicle that drove.
+        models: what the run depends on of its planning vehicle and its true robot.
         controls: names of its controls.
         commands: time of sending (s) and control, (m, 1 + nu).
         poses: time of the frame (s) and measured x, y (m) and yaw (rad), (n, 4).
@@ -136,6 +138,7 @@ class Recording:
     manoeuvre: Manoeuvre
     place: RunStart
     vehicle: RecordedVehicle
+    models: Mapping[str, Any]
     controls: tuple[str, ...]
     commands: Matrix
     poses: Matrix
@@ -163,11 +166,13 @@ class Recorder:
         self._model = model_of(vehicle)
         self._free_space = FreeSpace(scenario, vehicle)
         self._world = world_of(scenario, vehicle, seed, visuals=False, check_start=False)
-        self._vehicle = RecordedVehicle.of(vehicle, true_robot(scenario, vehicle).robot)
+        robot = true_robot(scenario, vehicle).robot
+        self._vehicle = RecordedVehicle.of(vehicle, robot)
+        self._models = {"planned": model_content(vehicle), "true": robot_content(robot)}
 
     def described(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """Keys of the manifests that are the same for all runs; `arguments` are those of the user."""
-        return _common(self._scenario, arguments, self._vehicle, tuple(self._model.vehicle.controls))
+        return _common(self._scenario, arguments, self._vehicle, self._models, tuple(self._model.vehicle.controls))
 
     def place(self, number: int, path: Matrix) -> RunStart:
         """Start of run `number` if it is to drive a path of poses (m, 3) from the origin, `PATH_STEP` apart."""
@@ -207,17 +212,23 @@ class Recorder:
         self._world.reset(place.start, number)
         seed = int(generator.integers(2**62))
         plant = Plant(self._world, self._scenario, self._model.vehicle.controls, seed, COMMAND_RATE)
-        return _Run(plant, self._free_space, commanded, place, self._vehicle).drive(number)
+        return _Run(plant, self._free_space, commanded, place, self._vehicle, self._models).drive(number)
 
 
 class _Run:
     """Run in progress."""
 
     def __init__(
-        self, plant: Plant, free_space: FreeSpace, commanded: Manoeuvre, place: RunStart, vehicle: RecordedVehicle
+        self,
+        plant: Plant,
+        free_space: FreeSpace,
+        commanded: Manoeuvre,
+        place: RunStart,
+        vehicle: RecordedVehicle,
+        models: Mapping[str, Any],
     ) -> None:
         self._plant, self._world, self._free_space = plant, plant.world, free_space
-        self._manoeuvre, self._place, self._vehicle = commanded, place, vehicle
+        self._manoeuvre, self._place, self._vehicle, self._models = commanded, place, vehicle, models
         self._commands: list[tuple[float, ...]] = []
         self._poses: list[tuple[float, ...]] = []
         self._truth: list[tuple[float, ...]] = []
@@ -234,7 +245,7 @@ class _Run:
             self._plant.advance(end)
             note = self._stop_reason()
         return Recording(
-            number, self._manoeuvre, self._place, self._vehicle, self._plant.controls,
+            number, self._manoeuvre, self._place, self._vehicle, self._models, self._plant.controls,
             np.array(self._commands), np.array(self._poses).reshape(-1, 4), np.array(self._truth), world.time, note,
         )  # fmt: skip
 
@@ -278,10 +289,12 @@ UNITS: Final = {
 """Units of the columns; controls of other vehicles than cars have those of their model."""
 
 KEYS: Final = (
-    "schema", "arguments", "run", "manoeuvre", "start", "end", "note", "vehicle", "commands", "poses", "units", "clock",
-    "scenario", "versions",
+    "schema", "arguments", "run", "manoeuvre", "start", "end", "note", "vehicle", "models", "commands", "poses",
+    "units", "clock", "scenario", "versions",
 )  # fmt: skip
 """Keys of a manifest, in their order."""
+NEW_KEYS: Final = frozenset({"models"})
+"""Those that older manifests lack."""
 FILES: Final = ("commands.csv", "poses.csv", "truth.csv", "manifest.json")
 """Files of a run."""
 
@@ -304,7 +317,7 @@ def write_recording(folder: Path, scenario: Scenario, arguments: Mapping[str, An
 def _manifest(scenario: Scenario, arguments: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
     """Content of the manifest: everything that repeating the run needs, and no time of day."""
     start = recording.place.start
-    common = _common(scenario, arguments, recording.vehicle, recording.controls)
+    common = _common(scenario, arguments, recording.vehicle, recording.models, recording.controls)
     mine = {
         "run": recording.number,
         "manoeuvre": recording.manoeuvre.name,
@@ -318,7 +331,11 @@ def _manifest(scenario: Scenario, arguments: Mapping[str, Any], recording: Recor
 
 
 def _common(
-    scenario: Scenario, arguments: Mapping[str, Any], vehicle: RecordedVehicle, controls: Sequence[str]
+    scenario: Scenario,
+    arguments: Mapping[str, Any],
+    vehicle: RecordedVehicle,
+    models: Mapping[str, Any],
+    controls: Sequence[str],
 ) -> dict[str, Any]:
     """Keys of the manifest that are the same for all runs of a recording."""
     described = {f.name: plain(getattr(scenario, f.name)) for f in fields(scenario) if f.compare}
@@ -326,6 +343,7 @@ def _common(
         "schema": SCHEMA,
         "arguments": dict(arguments),
         "vehicle": vehicle.model_dump(mode="json", exclude_none=True),
+        "models": dict(models),
         "units": {name: unit for name, unit in UNITS.items() if name in (*POSES, *TRUTH, *controls)},
         "clock": "both files count from the beginning of the run; a pose carries the time its frame was taken",
         "scenario": {"sha256": plain_hash(described), "content": described},

@@ -15,7 +15,7 @@ from typing import Any, Final
 from kraft.errors import Code, Diagnostic, InputError, Problems
 from kraft.provenance import difference_text, differences
 from kraft.recording.manoeuvres import Manoeuvre
-from kraft.recording.recorder import FILES, KEYS, SCHEMA
+from kraft.recording.recorder import FILES, KEYS, NEW_KEYS, SCHEMA
 
 _RUN: Final = re.compile(r"run_(\d{2,})")
 _PART: Final = re.compile(r"\.run_\d{2,}\..*\.part")
@@ -101,10 +101,11 @@ def check_same_recording(finished: Iterable[FinishedRun], described: Mapping[str
 def _differences(run: FinishedRun, now: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Key and text of each difference of a manifest; of its arguments alone, if they are others."""
     was = {key: value for key, value in run.manifest.items() if key in now}
+    now = {key: value for key, value in now.items() if key in was}  # an older run does not state all
     if _is_continued(was["arguments"], now["arguments"]):
         was = {**was, "arguments": {**was["arguments"], "runs": now["arguments"]["runs"]}}
     given = list(differences(was["arguments"], now["arguments"], ("arguments",)))
-    for keys, before, after in given or differences(was, dict(now)):
+    for keys, before, after in given or differences(was, now):
         yield ".".join(keys), difference_text(before, after)
 
 
@@ -169,7 +170,7 @@ def _manifest(folder: Path, number: int) -> dict[str, Any]:
         content = json.loads(path.read_bytes().decode("utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError.of(str(path), f"is damaged: {error}", expected, Code.SYNTAX) from None
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA or not content.keys() >= set(KEYS):
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA or not content.keys() >= set(KEYS) - NEW_KEYS:
         raise InputError.of(str(path), "is no manifest of kraft record", expected, Code.SYNTAX)
     if content["run"] != number or not isinstance(content["arguments"], dict):
         raise InputError.of(str(path), f"is not that of run {number}", expected, Code.MISMATCH)

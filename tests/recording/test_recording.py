@@ -5,15 +5,18 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from support.paths import ROOT
 
 from kraft.errors import Code, InputError
 from kraft.planning.workspace import workspace_of
 from kraft.recording.area import PATH_STEP
 from kraft.recording.manoeuvres import COASTING, DURATION, NAMES, REST, Manoeuvre, ToControl, manoeuvre
 from kraft.recording.recorder import COMMAND_RATE, MARGIN, STOP, FreeSpace, Recorder, Recording, moved, write_recording
+from kraft.recording.resumption import FinishedRun, check_same_recording
 from kraft.scenario import Scenario, Start, load_scenario, parse_scenario
 from kraft.simulation.true_world import true_robot, world_of
 from kraft.vehicles.load import RecordedVehicle, load_vehicle
@@ -222,3 +225,31 @@ def test_true_parameters_are_recorded_with_the_model_that_they_are_of() -> None:
     vehicle, true = load_vehicle("mushr-drive"), RobotTruth(parameters={"tau": 0.9})
     assert RecordedVehicle.of(vehicle, true).truth == true.model_copy(update={"model": "mushr-drive"})
     assert RecordedVehicle.of(replace(vehicle, file=""), true).truth is None
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "old", "new", "path"),
+    [
+        ("mushr", "mushr.yaml", "L: {value: 0.32", "L: {value: 0.42", "models.planned.parameters.L"),
+        ("jackal", "jackal.xml", "<mujoco", "<!-- heavier --><mujoco", "models.true.mjcf.sha256"),
+    ],
+)
+def test_a_recording_of_a_vehicle_that_has_changed_is_not_continued(
+    name: str, file: str, old: str, new: str, path: str, tmp_path: Path
+) -> None:
+    for each in ("mushr.yaml", "jackal.yaml", "jackal.xml"):
+        (tmp_path / each).write_text((ROOT / "configs/vehicles" / each).read_text())
+
+    def described() -> dict[str, Any]:
+        return Recorder(TRAINING, load_vehicle(tmp_path / f"{name}.yaml"), 0).described({"runs": 2})
+
+    run = FinishedRun(1, tmp_path / "run_01", described())
+    check_same_recording([run], described(), 2)
+    text = (tmp_path / file).read_text()
+    assert old in text
+    (tmp_path / file).write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        check_same_recording([run], described(), 2)
+    assert [each.path for each in caught.value.diagnostics] == [path]
+    older = {key: value for key, value in run.manifest.items() if key != "models"}
+    check_same_recording([replace(run, manifest=older)], described(), 2)
