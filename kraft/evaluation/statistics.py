@@ -14,6 +14,8 @@ SIGNIFICANT: Final = 0.05
 """p-value below which a difference is shown."""
 GROUPS_MIN: Final = 3
 """Fewest groups whose mean difference has an interval and a test."""
+ROUNDING: Final = 1e-9
+"""Difference of two mean differences up to which they are the same: those of times are not exact."""
 CONFIDENCE: Final = 1.0 - SIGNIFICANT
 """Confidence of all intervals: one excludes what a test of the same data would not show to be true."""
 
@@ -244,7 +246,7 @@ def _mean_difference(differences: Sequence[float], groups: Sequence[Hashable]) -
         sums[number[group]] += difference
         sizes[number[group]] += 1
     n = len(number)
-    if n < GROUPS_MIN or np.ptp(sums / sizes) == 0.0:
+    if n < GROUPS_MIN or np.ptp(sums / sizes) <= ROUNDING:
         return None
     mean = sums.sum() / sizes.sum()
     error = np.sqrt(n / (n - 1) * np.square(sums - mean * sizes).sum()) / sizes.sum()

@@ -17,6 +17,7 @@ from kraft.evaluation.statistics import (
     least_sign_flip_p,
     mcnemar,
     mean_difference_interval,
+    mean_difference_p,
     mean_interval,
     newcombe,
     paired_difference,
@@ -282,3 +283,12 @@ def test_differences_of_a_group_count_as_alike() -> None:
 @pytest.mark.parametrize("values", [[], [1.0], [1.0, 2.0], [0.3, 0.3, 0.3, 0.3]])
 def test_what_does_not_tell_how_it_varies_has_no_interval(values: list[float]) -> None:
     assert mean_difference_interval(values, range(len(values))) is None
+
+
+def test_times_that_differ_by_the_same_but_for_rounding_do_not_tell_how_they_vary() -> None:
+    """A tenth of a second after 10, 20 and 30 s: the differences of the numbers are not equal."""
+    differences = [(10.0 * k + 0.1) - 10.0 * k for k in (1, 2, 3)]
+    assert len(set(differences)) > 1
+    assert mean_difference_interval(differences, range(3)) is None
+    assert mean_difference_p(differences, range(3)) is None
+    assert mean_difference_interval([0.1, 0.1, 0.102], range(3)) is not None
