@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Final, TypeAlias
 
@@ -24,6 +24,7 @@ from kraft.scenario import Scenario
 from kraft.text import MessageSink, no_messages
 from kraft.trial.camera_view import check_view
 from kraft.trial.planning_vehicle import check_robot, load_planning_vehicle, vehicle_reference
+from kraft.trial.robot_content import vehicle_hash
 from kraft.vehicles.load import load_vehicle, resolved_reference
 from kraft.vehicles.reference import reference_of
 from ompl_ext.vehicle import Vehicle
@@ -89,6 +90,12 @@ class Experiment:
         """Seeds of the trials."""
         return range(self.seed, self.seed + self.trials)
 
+    @cached_property
+    def vehicle_hashes(self) -> Mapping[str, str]:
+        """Hash of each planning vehicle by its reference, as it is when they are first asked for."""
+        vehicles = {cell.reference: cell.vehicle for cell in self.cells}
+        return {reference: vehicle_hash(vehicle) for reference, vehicle in vehicles.items()}
+
     def check_available(self) -> None:
         """Check that what methods or cameras need is there, before anything is compiled: packages of extras, code.
 
@@ -106,8 +113,9 @@ class Experiment:
     def jobs(self) -> Iterator[Job]:
         """Trials of all cells, cell by cell."""
         for cell in self.cells:
+            vehicle = cell.reference, self.vehicle_hashes[cell.reference]
             for seed in self.seeds:
-                yield Job(cell.entry.name, cell.scenario, cell.method, cell.reference, seed, self.realtime)
+                yield Job(cell.entry.name, cell.scenario, cell.method, *vehicle, seed, self.realtime)
 
 
 def experiment_of(

@@ -11,12 +11,13 @@ from typing import Final, Protocol, TypeAlias
 
 from kraft.config.user_code import failure_in_code
 from kraft.driving.method import Method
-from kraft.errors import InputError, MissingDependency, MissingError, UserCodeError
+from kraft.errors import Code, InputError, MissingDependency, MissingError, UserCodeError
 from kraft.evaluation.journal import Key, TrialRow, trial_row
 from kraft.evaluation.replay import replay_of
 from kraft.scenario import Scenario
 from kraft.text import MessageSink
 from kraft.trial.result import TrialResult, TrialSpec
+from kraft.trial.robot_content import vehicle_hash
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import Vehicle
 
@@ -25,13 +26,15 @@ from ompl_ext.vehicle import Vehicle
 class Job:
     """Trial to run in the entry of that name.
 
-    `vehicle` is a resolved reference, because a vehicle is compiled in the process that uses it.
+    `vehicle` is a resolved reference, because a vehicle is compiled in the process that uses it; `vehicle_hash` is that
+    of the vehicle where the evaluation began.
     """
 
     entry: str
     scenario: Scenario
     method: Method
     vehicle: str
+    vehicle_hash: str
     seed: int
     realtime: bool = False
 
@@ -47,12 +50,13 @@ def perform(job: Job) -> TrialRow:
     So is an error of a user's own controller or vehicle.
 
     Raises:
-        InputError: if the scenario, method or vehicle is refused, which concerns the other trials too.
+        InputError: if the scenario, method or vehicle is refused, which concerns the other trials too, or if the
+            vehicle is another one in this process.
         MissingError: if a part of the installation is missing.
     """
     began = time.perf_counter()
     try:
-        spec = TrialSpec(job.scenario, job.method, _vehicle(job.vehicle), job.seed, job.realtime)
+        spec = TrialSpec(job.scenario, job.method, _vehicle(job.vehicle, job.vehicle_hash), job.seed, job.realtime)
         result = simulated_trial(spec)
         wall = time.perf_counter() - began
         return trial_row(job.key, result, wall, replay_of(spec, result))
@@ -90,8 +94,21 @@ def simulated_trial(spec: TrialSpec) -> TrialResult:
 
 
 @cache
-def _vehicle(reference: str) -> Vehicle:
-    return load_vehicle(reference)
+def _vehicle(reference: str, expected_hash: str) -> Vehicle:
+    """Vehicle of a reference; a file is read again for another hash, as a worker of a cluster outlives evaluations.
+
+    Raises:
+        InputError: if it has another hash here.
+    """
+    vehicle = load_vehicle(reference)
+    if vehicle_hash(vehicle) != expected_hash:
+        problem = "is another vehicle in a worker process than where the evaluation began"
+        expected = (
+            "expected the same files on every machine and no change while trials run; a worker of a cluster that has "
+            "imported code before it was changed has to be started again"
+        )
+        raise InputError.of(reference, problem, expected, Code.MISMATCH)
+    return vehicle
 
 
 StopRequested: TypeAlias = Callable[[], bool]

@@ -19,6 +19,7 @@ from kraft.evaluation.robots import robots_of
 from kraft.planning.plan_file import vehicle_content
 from kraft.provenance import MISSING, SIMULATION, difference_text, differences, plain, plain_hash, versions
 from kraft.scenario import Scenario
+from kraft.trial.robot_content import estimation_content
 
 MANIFEST: Final = "manifest.json"
 MANIFEST_SCHEMA: Final = "kraft.eval-manifest/1"
@@ -33,8 +34,6 @@ TEXTS: Final = ("title", "description")
 """Keys of scenarios and methods that no result depends on."""
 SECTIONS: Final = ("scenarios", "methods", "vehicles")
 """Sections with one entry for each name."""
-ESTIMATION: Final = ("ranges", "gravity_share", "delay", "errors_by_speed")
-"""What of a vehicle only estimators use."""
 ROW_KEYS: Final = {"scenario", "method", "vehicle"}
 
 
@@ -46,7 +45,7 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
     for reference, content in vehicles.items():
         vehicle = next(cell.vehicle for cell in cells if cell.reference == reference)
         content["code"] = vehicle.hash
-        content |= {name: plain(getattr(vehicle, name)) for name in ESTIMATION}
+        content.update(estimation_content(vehicle))
         del content["reference"]  # the content of a file matters, not its path
     return {
         "schema": MANIFEST_SCHEMA,

@@ -14,11 +14,14 @@ from typing import Any
 
 import pytest
 from support import dead_worker, fake_trials
-from support.evaluation import StoppingObserver, kept, places
+from support.evaluation import StoppingObserver, kept, places, refused
 from support.paths import ROOT
 
-from kraft.errors import Defect, InputError, MissingDependency
-from kraft.evaluation import Evaluation, evaluate, evaluator, processes
+from kraft.errors import Code, Defect, InputError, MissingDependency
+from kraft.evaluation import Evaluation, evaluate, evaluator, job, processes
+from kraft.evaluation.experiment import experiment_of
+from kraft.evaluation.job import Job, perform
+from kraft.trial.result import TrialResult, TrialSpec
 from kraft_cli.main import main
 
 
@@ -101,6 +104,32 @@ def test_a_defect_in_a_trial_fails_that_trial_only() -> None:
     found = run(fake_trials.raises, 1)
     assert [row.seed for row in found.rows if row.outcome == "failed"] == [1]
     assert (found.rows[1].error or "").startswith("ZeroDivisionError: no speed at all (")
+
+
+def test_a_worker_that_outlives_an_evaluation_reads_a_changed_vehicle_again_and_refuses_another_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, driven = tmp_path / "mine.yaml", list[float]()
+    text = (ROOT / "configs/vehicles/mushr.yaml").read_text()
+
+    def trial(spec: TrialSpec) -> TrialResult:
+        driven.append(spec.vehicle.parameters["L"])
+        return fake_trials.quick(spec)
+
+    def job_of(wheelbase: float) -> Job:
+        file.write_text(text.replace("value: 0.328663", f"value: {wheelbase}"))
+        (found,) = experiment_of(["turns"], ["kraft"], vehicle=str(file), trials=1).jobs()
+        return found
+
+    monkeypatch.setattr(job, "simulated_trial", trial)
+    for wheelbase in (0.3, 0.4):
+        assert perform(job_of(wheelbase)).outcome != "failed"
+    assert driven == [0.3, 0.4]
+    before = job_of(0.35)
+    file.write_text(text)
+    with refused((file, Code.MISMATCH)):
+        perform(before)
+    assert len(driven) == 2
 
 
 def test_workers_have_one_numeric_thread_each_and_this_process_keeps_its_environment() -> None:
