@@ -294,8 +294,11 @@ def pieces_of(logs: Sequence[Log], settings: Settings, length: float = WINDOW_LE
         InputError: if there is none.
     """
     found = [piece for i, log in enumerate(logs) for piece in _pieces_of_log(log, i, settings, length)]
-    if not found:
+    if not found and all(part.duration < HISTORY_MIN + WINDOW_MIN for log in logs for part in log.parts):
         raise InputError.of("logs", "are all shorter than a second", "expected longer ones to predict", Code.DATA)
+    if not found:
+        problem = f"never have three poses within {length:g} s, from which windows are predicted"
+        raise InputError.of("logs", problem, "expected more poses a second", Code.DATA)
     return found
 
 

@@ -1,4 +1,4 @@
-"""Errors of open-loop predictions: of those that diverge, and of few poses a second."""
+"""Errors of open-loop predictions: of those that diverge, and of few poses a second or short logs."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 from support.sysid import fake_evaluation, fake_identification, fake_log, fake_windows
 
+from kraft.errors import Code, InputError
+from kraft.logs.log import Log, Part
 from kraft.sysid import prediction
 from kraft.sysid.acceptance import PredictionPair, objections
 from kraft.sysid.data import LogSplit
-from kraft.sysid.prediction import Window, predict_windows, window_errors
+from kraft.sysid.interface import Settings
+from kraft.sysid.prediction import Window, pieces_of, predict_windows, window_errors
 from kraft.sysid.vehicle_file import identification_record
 from kraft.vehicles.load import load_vehicle
 
@@ -44,3 +47,13 @@ def test_the_pose_at_which_a_window_begins_is_no_prediction() -> None:
     predicted = np.column_stack([0.1 * times, np.zeros(3), np.zeros(3)])
     errors = window_errors([Window("log", times, np.zeros((3, 3)), predicted)])
     assert errors.position[1.0] == pytest.approx(0.14)
+
+
+@pytest.mark.parametrize(("apart", "poses", "problem"), [(0.1, 8, "shorter than a second"), (1.6, 60, "three poses")])
+def test_logs_that_cannot_be_predicted_are_refused_with_the_reason(apart: float, poses: int, problem: str) -> None:
+    times = apart * np.arange(poses)
+    part = Part(times[:1], np.array([[0.5, 0.0]]), times, np.column_stack([0.5 * times, 0.0 * times, 0.0 * times]))
+    with pytest.raises(InputError) as caught:
+        pieces_of([Log("log", (), ("throttle", "steering"), (part,))], Settings())
+    (found,) = caught.value.diagnostics
+    assert (found.code, problem in found.problem) == (Code.DATA, True)
