@@ -20,7 +20,7 @@ from kraft.sysid.optimiser import (
     estimate_uncertainty,
     held_at_bounds,
 )
-from kraft.sysid.parameters import vehicle_of
+from kraft.sysid.parameters import Parameters, vehicle_of
 from kraft.sysid.prediction import process_noise
 from kraft.sysid.problem import Point, residual_ratio
 from kraft.sysid.result import assemble_identification
@@ -232,6 +232,15 @@ def _trial(structure: Structure, *, chosen: bool, horizon: float) -> ModelTrial:
     return ModelTrial(name, structure.terms, structure.without, errors, chosen, structure.added)
 
 
+def switched_off(p: Parameters, rho: Floats, terms: Sequence[str]) -> tuple[str, ...]:
+    """Parameters of a model that are off with the values rho (np,): those at which they have no effect.
+
+    The `terms` that are on are none of them, and neither is a term that settings state and keep.
+    """
+    own = zip(p.specs[: p.model_size], rho.tolist(), strict=False)
+    return tuple(spec.name for spec, value in own if spec.name not in terms and value == spec.neutral)
+
+
 def _identified(best: Structure, search: StructureSearch, logs: Sequence[Log], settings: Settings) -> Identification:
     """Result with the parameters of a structure; the smoothed states are those of its windows."""
     graph, optimum = best.graph, best.optimum
@@ -250,9 +259,7 @@ def _identified(best: Structure, search: StructureSearch, logs: Sequence[Log], s
         problem, replace(optimum, point=point), uncertainty, graph.smoothed, [log.name for log in logs],
         not settings.noise, search.iterations,
     )  # fmt: skip
-    off = tuple(
-        spec.name for spec in p.specs[: p.model_size] if spec.neutral is not None and spec.name not in best.terms
-    )
+    off = switched_off(p, point.rho, best.terms)
     unneeded = [name for name in off if name not in settings.frozen]
     missing = [name for name in search.auxiliary if name not in best.terms]
     notes = [f"terms that the logs do not need: {', '.join((*unneeded, *missing))}"] if unneeded or missing else []

@@ -34,7 +34,7 @@ from kraft.sysid.prediction import constant_windows, predict_windows, window_err
 from kraft.sysid.selection import is_shown
 from kraft.sysid.smoothing import thinned
 from kraft.sysid.structure import StructureSearch
-from kraft.sysid.terms import identify_terms
+from kraft.sysid.terms import identify_terms, switched_off
 from kraft.sysid.unexplained import unexplained_stretches
 from kraft.vehicles.config import VehicleConfig, load_vehicle_config
 from kraft.vehicles.load import configured, load_vehicle
@@ -161,6 +161,16 @@ def test_a_term_that_predictions_do_not_need_and_no_car_has_so_small_is_switched
     gain = search.without(found, "friction").optimum.cost - found.optimum.cost
     assert is_shown(found.graph.problem.parameters, found.optimum, "friction", gain)
     assert search.pruned(found).terms == ()
+
+
+def test_a_term_that_is_stated_is_kept_and_not_called_off() -> None:
+    search = StructureSearch(car_file(), [drive(car(), 0)], Settings(values={"friction": 0.3}), lambda *_: None)
+    assert "friction" not in search.candidates
+    p = search.parameters(["drag"])
+    assert (p.nominal[p.index("friction")], "friction" in p.frozen) == (0.3, True)
+    off = switched_off(p, p.nominal, ["drag"])
+    assert {"friction", "drag", "a_drive"} & set(off) == set()
+    assert {"scrub", "slide", "brake"} <= set(off)
 
 
 def test_a_model_whose_error_grows_is_not_compared_in_long_windows() -> None:
