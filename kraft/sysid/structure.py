@@ -152,9 +152,9 @@ class StructureSearch:
         self.iterations, self.fits, self.fits_planned = before.iterations, before.fits, before.fits_planned
 
     def parameters(self, terms: Sequence[str]) -> Parameters:
-        """Parameters with the given terms on, and the others at their neutral value and frozen."""
+        """Parameters with the given terms on, and the others off and frozen; what is frozen anyway keeps its value."""
         known = parameters_of(self.vehicle, self.settings, self.auxiliary)
-        off = [spec for spec in known.specs if spec.neutral is not None and spec.name not in terms]
+        off = [spec for spec in known.specs if spec.neutral is not None and spec.name not in {*terms, *known.frozen}]
         settings = replace(
             self.settings,
             values={**{spec.name: spec.neutral for spec in off if spec.neutral is not None}, **self.settings.values},

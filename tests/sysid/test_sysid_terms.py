@@ -163,11 +163,20 @@ def test_a_term_that_predictions_do_not_need_and_no_car_has_so_small_is_switched
     assert search.pruned(found).terms == ()
 
 
-def test_a_term_that_is_stated_is_kept_and_not_called_off() -> None:
-    search = StructureSearch(car_file(), [drive(car(), 0)], Settings(values={"friction": 0.3}), lambda *_: None)
+@pytest.mark.parametrize(
+    ("vehicle", "settings"),
+    [
+        (car_file(), Settings(values={"friction": 0.4})),
+        (car_file().with_values({"friction": 0.4}), Settings(frozen=("friction",))),
+        (car_file().with_stated({"friction": {"value": 0.4, "fixed": True}}), Settings()),
+    ],
+    ids=["stated", "frozen", "fixed"],
+)
+def test_a_term_that_keeps_its_value_is_not_off(vehicle: VehicleConfig, settings: Settings) -> None:
+    search = StructureSearch(vehicle, [drive(car(), 0)], settings, lambda *_: None)
     assert "friction" not in search.candidates
     p = search.parameters(["drag"])
-    assert (p.nominal[p.index("friction")], "friction" in p.frozen) == (0.3, True)
+    assert (p.nominal[p.index("friction")], "friction" in p.frozen) == (0.4, True)
     off = switched_off(p, p.nominal, ["drag"])
     assert {"friction", "drag", "a_drive"} & set(off) == set()
     assert {"scrub", "slide", "brake"} <= set(off)
