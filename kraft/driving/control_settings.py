@@ -62,7 +62,7 @@ class Kinodynamic(StrictModel):
     k_heading: Gain = 1.0
     """gain on the heading error"""
     k_along: Gain = 1.0
-    """throttle per metre that the vehicle is behind its trajectory, 1/m"""
+    """share of full throttle per metre that the vehicle is behind its trajectory, 1/m"""
     softening: Positive = 0.3
     """speed added where the law divides by the speed, m/s"""
     look: NonNegative = 0.15
