@@ -287,7 +287,7 @@ class ControlLoop:
     def _take_messages(self, now: float) -> None:
         for message in self._mailbox.take():
             if isinstance(message, Planned):
-                self._requests.answered(now)
+                self._requests.answered(self._acts(now))
                 self._planned.append(message)
             elif isinstance(message, TaskTaken):
                 self._take_answer(now, message)
@@ -303,22 +303,25 @@ class ControlLoop:
             self._tables.row("observations", *map(float, (each.time, each.arrival, each.x, each.y, each.theta)))
         return found
 
+    def _acts(self, now: float) -> float:
+        """Time at which a command that is sent now acts: plans begin at it, and are asked for and adopted by it."""
+        return now + self._tracker.horizon
+
     def _adopt(self, now: float) -> None:
         """Take on board what the planner committed, when its cycle begins; what arrives later than that is lost."""
         while self._planned:
             planned = self._planned[0]
             if self._tracker.learn(planned.learned):
                 self._learned = planned.learned
-            horizon = self._tracker.horizon
             cycle = planned.cycle
-            if cycle.time > now + horizon + SAME_TIME:
+            if cycle.time > self._acts(now) + SAME_TIME:
                 return
             self._planned.popleft()
             self._cycle = cycle.number
-            if now + horizon > cycle.time + 1.5 * self.period:
+            if (late := self._acts(now) - cycle.time) > 1.5 * self.period:
                 self._missed += 1
                 self._health.decision(late=True)
-                self._event(now, f"the commitment of cycle {cycle.number} came {now + horizon - cycle.time:.2f} s late")
+                self._event(now, f"the commitment of cycle {cycle.number} came {late:.2f} s late")
                 continue
             self._health.decision(late=False)
             if self._may_drive(now):
@@ -360,9 +363,9 @@ class ControlLoop:
 
     def _request(self, now: float) -> None:
         """Ask for the next commitment when it is due, unless the planner still works on the last one."""
-        if self._mailbox.closed or self._ending is not None or not self._requests.is_due(now):
+        if self._mailbox.closed or self._ending is not None or not self._requests.is_due(self._acts(now)):
             return
-        number = self._requests.ask(now)
+        number = self._requests.ask(self._acts(now))
         self._mailbox.send(DecisionRequest(now, number, self._sensed(), self._on_board.commitment))
 
     def _take_task(self, now: float) -> None:
@@ -412,7 +415,7 @@ class ControlLoop:
             self._end(now, "timeout", f"the goal was not reached in {self._spec.timeout:g} s")
         elif self._since_stop is not None and now - self._since_stop > watchdog.give_up:
             self._end(now, "stopped", self._trouble(now) or self._why)
-        elif (waited := self._requests.waited(now)) > watchdog.give_up:
+        elif (waited := self._requests.waited(self._acts(now))) > watchdog.give_up:
             self._end(now, "stopped", f"the planner has not answered for {waited:.1f} s")
         elif min(estimate.age, now) > watchdog.give_up:
             self._end(now, "stopped", self._link.trouble or self._why_blind(estimate))

@@ -24,7 +24,9 @@ KEPT: Final = 1000
 
 
 class DecisionRequests:
-    """Which cycle the planner is asked to decide, and when; times in s of the drive.
+    """Which cycle the planner is asked to decide, and when.
+
+    Times are those at which commands that are sent now act, s of the drive: cycles begin by this clock.
 
     Args:
         cycle: duration of a cycle, s.

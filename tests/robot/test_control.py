@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from multiprocessing import Pipe
@@ -97,6 +98,22 @@ def test_of_a_pause_in_which_the_multiplexer_stopped_the_wheels_are_known_as_the
     assert sent == [(0.9 + control._spec.robot.command.timeout, 0.0, 0.3)]
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.2])
+def test_a_decision_is_asked_for_its_lead_before_commands_act_in_its_cycle(
+    delay: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the time at which commands are sent, a delay as long as the lead left no time to decide."""
+    control, tracker, _ = control_and_guard()
+    monkeypatch.setattr(tracker, "_estimator", SimpleNamespace(horizon=delay))
+    monkeypatch.setattr(control, "_mailbox", SimpleNamespace(closed=False, send=lambda _: None))
+    asked, settings = [], tracker.settings
+    for number in range(3):
+        times = ((number - 1) * settings.cycle - delay + 0.001 * k for k in range(2000))
+        asked.append(next(now for now in times if control._request(now) or control._requests._asked is not None))
+        control._requests.answered(control._acts(asked[-1] + 0.01))
+    assert asked == pytest.approx([k * settings.cycle - settings.lead - delay for k in range(3)], abs=0.002)
+
+
 def test_a_network_that_is_slow_to_tell_who_publishes_does_not_count_as_a_pause(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -116,4 +133,6 @@ def test_a_network_that_is_slow_to_tell_who_publishes_does_not_count_as_a_pause(
     monkeypatch.setattr(control._transport, "peers", slow)
     monkeypatch.setattr("kraft.robot.control.shorten_collections", lambda: None)
     assert control.run().reason == "the planner has ended"
-    assert events == ["stopped: the planner has ended"]
+    assert events[-1] == "stopped: the planner has ended"
+    held_up = [float(found[1]) for event in events if (found := re.search(r"held up for ([\d.]+) s", event))]
+    assert all(seconds < 0.9 for seconds in held_up), "a busy machine may hold it up by itself"
