@@ -143,7 +143,8 @@ def _unstated(base: BaseVehicle) -> str:
     shape = base.vehicle.footprint
     return (
         f"no log states which vehicle drove: the footprint of the written one, {shape.length:g} x {shape.width:g} m, "
-        f"and its true robot are those of {base.name}; state yours in the file (`footprint`, `truth`)"
+        f"the place of its centre and the true robot are those of {base.name}; state yours in the file "
+        "(`footprint: {length, width, offset}`, `truth`)"
     )
 
 

@@ -463,7 +463,7 @@ def test_nothing_is_taken_over_from_a_recording_of_the_same_robot_of_two_or_of_o
     unknown, *_ = recorded_by(tmp_path / "e", "jackal")
     none, said = with_recorded(load_base_vehicle("mushr-lag"), (replace(unknown, sources=()),))
     assert none.recorded is None
-    assert "footprint of the written one, 0.4 x 0.28 m, and its true robot are those of mushr-lag" in said
+    assert "the written one, 0.4 x 0.28 m, the place of its centre and the true robot are those of mushr-lag" in said
     gone = recorded_by(tmp_path / "d", "jackal", truth={"mjcf": str(tmp_path / "gone.xml")})
     none, said = with_recorded(load_base_vehicle("differential"), gone)
     assert none.recorded is None
