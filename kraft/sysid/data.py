@@ -42,9 +42,18 @@ class ScreenedLogs:
 
 
 def screen_logs(logs: Sequence[Log]) -> ScreenedLogs:
-    """Leave out parts with fewer than `POSES_MIN` poses, and logs that have no longer part."""
+    """Leave out parts with fewer than `POSES_MIN` poses, logs that have no longer part, and copies of logs.
+
+    A drive that counts twice could be held out to judge a model that is fitted to it.
+    """
     kept, shortened, problems = [], [], []
+    first: dict[tuple[str, ...], str] = {}
     for log in logs:
+        content = tuple(source.sha256 for source in log.sources)
+        if content and (original := first.setdefault(content, log.name)) != log.name:
+            problem = f"has the same files as {original}"
+            problems.append(Diagnostic(log.name, problem, "expected each drive once", code=Code.CONFLICT))
+            continue
         parts = tuple(part for part in log.parts if len(part.pose_times) >= POSES_MIN and len(part.command_times) > 0)
         if not parts:
             longest = max((len(part.pose_times) for part in log.parts), default=0)

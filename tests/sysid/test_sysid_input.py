@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from kraft.config import bundled
 from kraft.errors import InputError
+from kraft.logs.reader import read_logs
 from kraft.sysid import Settings, identify
+from kraft.sysid.data import screen_logs
 from kraft.sysid.selection import check_settings
 from kraft.vehicles.config import load_vehicle_config
 
@@ -55,3 +58,14 @@ def test_what_is_of_another_type_is_refused_by_its_name(call: Callable[[], objec
 def test_a_vehicle_may_be_the_path_of_its_file() -> None:
     with pytest.raises(InputError, match="there are none"):  # the vehicle is loaded before the logs are looked at
         identify(bundled.find("vehicle", "mushr"), ())
+
+
+def test_a_copy_of_a_log_does_not_count_as_another_drive(tmp_path: Path) -> None:
+    drive = "".join(f"{0.05 * k},{0.03 * k},0,0,0.5,0.1\n" for k in range(60))
+    (tmp_path / "a.csv").write_text(f"t,x,y,yaw,throttle,steering\n{drive}")
+    (tmp_path / "b.csv").write_text(f"t,x,y,yaw,throttle,steering\n{drive}\n")
+    (tmp_path / "a copy.csv").write_bytes((tmp_path / "a.csv").read_bytes())
+    screened = screen_logs(read_logs(tmp_path).logs)
+    assert len(screened.logs) == 2
+    (problem,) = screened.problems
+    assert {problem.file, problem.problem.removeprefix("has the same files as ")} == {"a", "a copy"}
