@@ -63,7 +63,7 @@ def _print_problems(terminal: Terminal, reports: Sequence[FileReport]) -> None:
         terminal.problem(str(problem))
     if problems:
         invalid = sum(bool(report.problems) for report in reports)
-        terminal.info(f"{counted(len(problems), 'problem')}; {counted(invalid, 'file')} invalid")
+        terminal.info(f"{counted(len(problems), 'problem')} in {counted(invalid, 'file')}")
 
 
 def _file_json(report: FileReport) -> dict[str, Any]:

@@ -118,4 +118,4 @@ def test_a_problem_of_a_scenario_is_printed_once_beside_the_suites_that_have_it(
     assert main(["validate", "one.yaml", "two.yaml", "floor.yaml"]) == 2
     *problems, last = capsys.readouterr().err.splitlines()
     assert len(problems) == len(set(problems))
-    assert last == f"{len(problems)} problems; 3 files invalid"
+    assert last == f"{len(problems)} problems in 3 files"
