@@ -43,6 +43,8 @@ TURNED: Final = (
     "of the poses against that of the scenario"
 )
 """What else a wrong heading at the right place may mean."""
+MOVED: Final = 0.01
+"""Distance from the tracked point to the model's beyond which they are two points, m."""
 MOVING: Final = 0.15
 """Distance between the poses of a vehicle that should stand beyond which it moves, m."""
 
@@ -97,7 +99,7 @@ class Checklist:
         checks += self._check_scenario(announced, spec, has_map=grid is not None) if poses else []
         checks += [*_check_bounds(spec.task), *_check_place(_mean_pose(poses), with_map(spec.task, grid), spec.vehicle)]
         checks += [_check_model(spec.vehicle, is_simulated=self._robot.simulated), _check_priority()]
-        checks += _check_units(spec.vehicle, self._robot)
+        checks += [*_check_point(spec.vehicle, self._robot), *_check_units(spec.vehicle, self._robot)]
         if not peers.publishers:
             self._transport.advertise(topic, kind)
             self._wait_for_subscriber(is_cancelled)
@@ -245,6 +247,18 @@ def _check_model(vehicle: Vehicle, *, is_simulated: bool) -> Check:
     if _record(vehicle) is not None:
         return Check("model", "ok", f"{model} is identified")
     return Check("model", "warning", f"{model} states no identification: was it made for this car?")
+
+
+def _check_point(vehicle: Vehicle, robot: Robot) -> list[Check]:
+    """A warning if the poses are moved to another point than that of a model which already has theirs."""
+    moved = math.hypot(robot.pose.tracked_point.x, robot.pose.tracked_point.y)
+    if robot.simulated or "lever" not in vehicle.parameters or moved < MOVED:
+        return []
+    detail = (
+        f"poses are moved by {moved:.2f} m, and {vehicle.name} has those of the point that its logs have: leave out "
+        "pose.tracked_point, unless the robot's poses are of another point than the logs'"
+    )
+    return [Check("tracked point", "warning", detail)]
 
 
 def _check_units(vehicle: Vehicle, robot: Robot) -> list[Check]:

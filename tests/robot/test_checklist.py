@@ -15,7 +15,7 @@ import pytest
 
 from kraft.driving.method import load_method
 from kraft.robot import checklist
-from kraft.robot.checklist import Checklist, _check_model
+from kraft.robot.checklist import Checklist, _check_model, _check_point
 from kraft.robot.inputs import Inputs
 from kraft.robot.loopback import LoopbackBus, LoopbackNode
 from kraft.robot.maps import receive_maps
@@ -163,6 +163,17 @@ def test_the_check_list_shows_the_size_that_is_kept_free() -> None:
     """A vehicle file that is identified from a bag has the footprint of another car until somebody writes the right one."""
     for is_simulated in (True, False):
         assert "0.58 m long and 0.31 m wide" in _check_model(load_vehicle("f1tenth"), is_simulated=is_simulated).detail
+
+
+def test_a_tracked_point_beside_a_model_of_the_tracked_point_is_warned_of() -> None:
+    """The pose of `kraft.vehicles.car`, and with it the footprint, would be moved from where the logs have it."""
+    rear = robot(pose={**POSE_INPUT, "tracked_point": {"x": -0.17}})
+    (warning,) = _check_point(load_vehicle("car"), rear)
+    assert warning.state == "warning"
+    assert "moved by 0.17 m" in warning.detail
+    assert not _check_point(load_vehicle("car"), robot())
+    assert not _check_point(load_vehicle("mushr"), rear)
+    assert not _check_point(load_vehicle("car"), rear.model_copy(update={"simulated": True}))
 
 
 def test_a_heading_that_is_turned_is_no_matter_of_units_at_the_origin() -> None:
