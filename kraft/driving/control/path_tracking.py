@@ -134,7 +134,8 @@ class GeometricController:
     def __init__(self, settings: Geometric, model: CarModel) -> None:
         self._settings, self._model = settings, model
         self._tracker = PathTracker(model, 0.0, settings.window)
-        largest = float(min(-model.low[model.steering], model.high[model.steering])) / model.steering_unit
+        self._unit = model.steering_unit
+        largest = float(min(-model.low[model.steering], model.high[model.steering])) / self._unit
         self._integral_limit = INTEGRAL_LIMIT * largest
         self._integral = 0.0
         self._filtered_error = 0.0
@@ -154,7 +155,7 @@ class GeometricController:
         dx, dy = self._vector_to(aimed_at, estimate.state)
         heading = float(estimate.state[model.theta]) + (0.0 if direction > 0 else math.pi)
         error = math.remainder(math.atan2(dy, dx) - heading, math.tau)
-        steering = direction * model.steering_unit * self._pid(time, error)
+        steering = direction * self._unit * self._pid(time, error)
         if reference.kind is ReferenceKind.CONTINGENCY:
             return model.command(float(reference.control_at(time)[model.throttle]), steering)
         share = math.hypot(dx, dy) / self._settings.lookahead
