@@ -183,10 +183,10 @@ class CarModel(VehicleModel):
     @property
     def wheelbase(self) -> float:
         """Change of the wheels' angle per change of curvature at straight driving, m: of a bicycle its wheelbase."""
-        return self._steering_per_curvature / self.steering_unit
+        return self._steering_per_curvature / self.steering_per_radian
 
     @property
-    def steering_unit(self) -> float:
+    def steering_per_radian(self) -> float:
         """Steering per radian of the wheels at straight driving: 1 for steering in rad.
 
         A model that takes commands in any unit states it (`kraft.vehicles.car`).  Of others, steering whose unit turns
@@ -200,7 +200,7 @@ class CarModel(VehicleModel):
         return 1.0 if across <= length else across / (AXLES * length)
 
     @property
-    def throttle_unit(self) -> float:
+    def full_throttle(self) -> float:
         """Throttle that counts as full: 1, that of a model that states it, or the largest one if that is above 1."""
         full = self.vehicle.parameters.get("full_throttle")
         return max(1.0, self._bounds[self.throttle][1]) if full is None else float(full)

@@ -73,10 +73,10 @@ def test_curvature_and_steering_are_those_of_a_bicycle(offset: float) -> None:
 
 def test_steering_that_turns_the_car_too_little_for_radians_is_in_another_unit() -> None:
     model = CarModel(PROMPT)
-    assert model.steering_unit == 1.0
+    assert model.steering_per_radian == 1.0
     model._steerings = [math.degrees(steering) for steering in model._steerings]
     length = PROMPT.footprint.length
-    assert model.steering_unit == pytest.approx(math.degrees(0.2965) / (0.75 * length), rel=0.01)
+    assert model.steering_per_radian == pytest.approx(math.degrees(0.2965) / (0.75 * length), rel=0.01)
     assert model.wheelbase == pytest.approx(0.75 * length)
 
 

@@ -69,7 +69,7 @@ class PathTracker:
         self._reference: Reference | None = None
         self.where = np.zeros(2, np.int64)
         gain = np.zeros(at.GAINS)
-        gain[[at.OFFSET, at.RADIAN, at.FULL_THROTTLE]] = offset, model.steering_unit, model.throttle_unit
+        gain[[at.OFFSET, at.RADIAN, at.FULL_THROTTLE]] = offset, model.steering_per_radian, model.full_throttle
         if settings is not None:
             gain[[at.K_PATH, at.K_HEADING, at.K_ALONG]] = settings.k_path, settings.k_heading, settings.k_along
             gain[[at.SOFTENING, at.LOOK]] = settings.softening, settings.look
@@ -134,8 +134,8 @@ class GeometricController:
     def __init__(self, settings: Geometric, model: CarModel) -> None:
         self._settings, self._model = settings, model
         self._tracker = PathTracker(model, 0.0, settings.window)
-        self._unit = model.steering_unit
-        largest = float(min(-model.low[model.steering], model.high[model.steering])) / self._unit
+        self._per_radian = model.steering_per_radian
+        largest = float(min(-model.low[model.steering], model.high[model.steering])) / self._per_radian
         self._integral_limit = INTEGRAL_LIMIT * largest
         self._integral = 0.0
         self._filtered_error = 0.0
@@ -155,7 +155,7 @@ class GeometricController:
         dx, dy = self._vector_to(aimed_at, estimate.state)
         heading = float(estimate.state[model.theta]) + (0.0 if direction > 0 else math.pi)
         error = math.remainder(math.atan2(dy, dx) - heading, math.tau)
-        steering = direction * self._unit * self._pid(time, error)
+        steering = direction * self._per_radian * self._pid(time, error)
         if reference.kind is ReferenceKind.CONTINGENCY:
             return model.command(float(reference.control_at(time)[model.throttle]), steering)
         share = math.hypot(dx, dy) / self._settings.lookahead
