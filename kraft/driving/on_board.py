@@ -46,6 +46,12 @@ class OnBoard:
         """Have on board what another computer of the car has on board since `time` (s)."""
         self.commitment, self._arrived, self.is_stopping = commitment, time, False
 
+    @property
+    def end(self) -> float:
+        """Time at which what is on board ends, s."""
+        following = self.commitment.contingency
+        return self.commitment.reference.end if following is None else following.end
+
     def reference(self, estimate: Estimate) -> Reference:
         """Reference to track at the time of the estimate."""
         reference = self.commitment.reference_at(estimate.time)

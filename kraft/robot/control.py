@@ -25,6 +25,7 @@ from kraft.robot.guard import SILENCE
 from kraft.robot.health import Health
 from kraft.robot.inputs import Inputs
 from kraft.robot.link import Link
+from kraft.robot.newest_map import NewestMap
 from kraft.robot.peers import PeerWatch
 from kraft.robot.poses import Clocks
 from kraft.robot.priority import shorten_collections
@@ -49,6 +50,7 @@ from kraft.robot.protocol import (
 from kraft.robot.task_inputs import TaskInputs
 from kraft.robot.tracker import Tracker
 from kraft.robot.transport import Transport
+from kraft.scenario import OccupancyMap
 from ompl_ext.arrays import Floats
 from ompl_ext.times import SAME_TIME
 
@@ -65,7 +67,7 @@ STANDING: Final = 1.0
 HALTED: Final = 2.0
 """Time by the machine's clock for which the vehicle is commanded to stand before a drive without a clock ends, s."""
 STOPPING_MAX: Final = 6.0
-"""Longest time in which a vehicle that stops at the end of a drive comes to rest, s."""
+"""Longest time after what is on board has ended until a drive that is to end is over, s."""
 PEERS_PERIOD: Final = 1.0
 """Time between two looks for a second publisher of commands, s."""
 MAIL_TIME: Final = 0.005
@@ -90,7 +92,7 @@ class ControlLoop:
         self._planned: deque[Planned] = deque()
         self._observations: list[Observation] = []
         self._commands: list[tuple[float, Floats, Floats]] = []
-        self._arrival = Arrival(spec.task.goal, spec.vehicle)
+        self._arrival, self._newest_map = Arrival(spec.task.goal, spec.vehicle), NewestMap(spec.vehicle)
         self._asked = 0  # number of changes that the planner has not answered
         self._link = Link(transport, spec.robot.command.timeout)
         self._ending: tuple[str, str] | None = None
@@ -195,6 +197,7 @@ class ControlLoop:
         self._look_at_link(now)
         self._take_messages(now)
         observations = self._take_poses(now)
+        self._take_task(now)
         self._health.tick(now, late, self._tracker.arrived)
         self._adopt(now)
         estimate = self._tracker.estimate(now)
@@ -213,7 +216,6 @@ class ControlLoop:
                 int(self._on_board.is_stopping), f"{estimate.age:.4f}", f"{late:.6f}",
                 f"{self._now - now:.6f}",
             )  # fmt: skip
-        self._take_task(now)
         self._request(now)
         self._report(now, estimate)
         return self._is_over(now, estimate)
@@ -324,7 +326,9 @@ class ControlLoop:
                 self._event(now, f"the commitment of cycle {cycle.number} came {late:.2f} s late")
                 continue
             self._health.decision(late=False)
-            if self._may_drive(now):
+            if place := self._newest_map.in_the_way_of(cycle.commitment, self._acts(now)):
+                self._event(now, f"the commitment of cycle {cycle.number} {_leads_into(place)}")
+            elif self._may_drive(now):
                 self._on_board.receive(cycle.commitment, self._tracker.estimate(now))
                 if not self._on_board.is_stopping:
                     self._since_stop = None
@@ -373,9 +377,20 @@ class ControlLoop:
         goal, grid = self._tasks.take_goal(), self._tasks.take_map()
         if problem := self._tasks.take_goal_problem():
             self._event(now, problem)
+        if grid is not None:
+            self._take_map(now, grid)
         if (goal is not None or grid is not None) and not self._mailbox.closed:
             self._asked += 1
             self._mailbox.send(TaskChange(goal, grid))
+
+    def _take_map(self, now: float, grid: OccupancyMap) -> None:
+        """Stop at once if a new map has something in the way of what is on board: the planner is not as quick."""
+        estimate = self._tracker.estimate(now)
+        self._newest_map.take(grid, estimate)
+        place = self._newest_map.in_the_way_of(self._on_board.commitment, estimate.time)
+        if place and self._ending is None and self._since_stop is None:
+            self._on_board.stop(estimate)
+            self._stopped(now, f"the way {_leads_into(place)}")
 
     def _take_answer(self, now: float, answer: TaskTaken) -> None:
         """Take over the goal that the planner has taken; it may have refused one."""
@@ -403,7 +418,8 @@ class ControlLoop:
         if self._ending is None:
             self._look_for_end(now, estimate)
             return False
-        return min(self._stood, now - self._ended_at) >= STOPPED or now - self._ended_at > STOPPING_MAX + STOPPED
+        since = max(self._ended_at, self._on_board.end)
+        return min(self._stood, now - self._ended_at) >= STOPPED or now - since > STOPPING_MAX
 
     def _look_for_end(self, now: float, estimate: Estimate) -> None:
         watchdog = self._spec.robot.watchdog
@@ -443,3 +459,7 @@ class ControlLoop:
         while self._alive:
             clock.sleep(PEERS_PERIOD)
             self._peers.look()
+
+
+def _leads_into(place: tuple[float, float]) -> str:
+    return f"leads into the newest map at ({place[0]:.2f}, {place[1]:.2f})"

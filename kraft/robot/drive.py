@@ -53,7 +53,7 @@ LEAD: Final = 0.3
 """Time before a cycle at which it is decided, s: the decision takes a part of it, and travels to the controller."""
 JOIN_TIME: Final = 5.0
 """Time to wait for the end of the controller's process, s."""
-GUARD_JOIN_TIME: Final = 12.0
+GUARD_JOIN_TIME: Final = 40.0
 """Time to wait for the end of the brake guard, which stops the vehicle if the controller has ended before, s."""
 LOOK: Final = 0.5
 """Longest time between two looks for what does not return, s."""

@@ -47,7 +47,7 @@ SILENCE: Final = 0.03
 STANDS: Final = 1.0
 """Time for which the guard commands the vehicle to stand, s."""
 LONGEST: Final = 8.0
-"""Longest time for which the guard drives, s."""
+"""Longest time for which the guard drives after what is on board has ended, s."""
 
 
 def run_guard(spec: DriveSpec, connection: Connection, others: Sequence[Connection]) -> None:
@@ -87,7 +87,7 @@ class Guard:
         self._period, self._tracker, self._inputs = period, tracker, inputs
         self._mailbox, self._tables = mailbox, tables
         self._since: float | None = None  # the beginning of its own driving
-        self._stood = 0.0
+        self._stood, self._is_late = 0.0, False
         self._connections = tracker.connections
         self._last_message = 0.0  # when the controller sent something, by the monotonic clock, s
 
@@ -167,9 +167,9 @@ class Guard:
         self._tables.row("guard", f"{now:.6f}", *map(float, estimate.state), *map(float, command))
         stands = now < 0.0 or (reference.kind is ReferenceKind.CONTINGENCY and now >= reference.end)
         self._stood = self._stood + self._period if stands else 0.0
-        self._driven = now - self._since
+        self._is_late = now - max(self._since, tracker.on_board.end) > LONGEST
 
     @property
     def _is_done(self) -> bool:
         """Whether the guard has stopped the vehicle."""
-        return self._since is not None and (self._stood >= STANDS or self._driven > LONGEST)
+        return self._since is not None and (self._stood >= STANDS or self._is_late)
