@@ -148,14 +148,17 @@ def _text(value: float | None, scale: float = 1.0) -> str:
 def make_database(database: Path, logs: Sequence[Path]) -> None:
     """Make the database of benchmark logs with OMPL's tool, replacing an earlier one.
 
-    The tool runs in its own process because it prints and leaves its connections to the database open.
+    The tool runs in its own process because it prints and leaves its connections to the database open, and in its own
+    session, where an interrupt at the terminal, which the caller handles, does not end it.
 
     Raises:
         InputError: if the database cannot be written; an earlier one stays.
     """
     with Replacement(database) as new:
         command = [sys.executable, "-P", "-m", "ompl.ompl_benchmark_statistics", "--database", str(new.temporary)]
-        done = subprocess.run([*command, *map(str, logs)], capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [*command, *map(str, logs)], capture_output=True, text=True, check=False, start_new_session=True
+        )
         if done.returncode != 0:
             reason = done.stderr.strip().splitlines()[-1:] or [f"OMPL's tool ended with {done.returncode}"]
             raise InputError.of(str(database), f"cannot be written: {reason[0]}", EXPECTED, Code.UNWRITABLE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
@@ -12,11 +13,12 @@ import pytest
 from support.evaluation import KEYS
 
 from kraft.config import bundled
+from kraft.errors import InputError
 from kraft.evaluation import labels, markdown, overview, summary, tables
 from kraft.evaluation.experiment import METHODS, Experiment, experiment_of
 from kraft.evaluation.journal import Key, Measured, TrialRow
 from kraft.evaluation.manifest import manifest_of
-from kraft.evaluation.ompl_benchmark import write_benchmark
+from kraft.evaluation.ompl_benchmark import make_database, write_benchmark
 from kraft.evaluation.paper import paper_row
 from kraft.evaluation.report.results import Manifest
 from kraft.evaluation.statistics import wilson
@@ -237,6 +239,22 @@ def test_one_scenario_has_one_log(tmp_path: Path) -> None:
     row = TrialRow(scenario="boxes", method="kraft", seed=0, outcome="success", t_s=2.0)
     write_benchmark(tmp_path, alone, {row.key: row}, manifest_of(alone, {}), 1.0)
     assert (tmp_path / "benchmark.log").read_text().startswith("OMPL version 2.")
+
+
+def test_an_interrupt_of_the_terminal_does_not_reach_the_tool_that_makes_the_database(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C is a signal to the group of processes of the terminal."""
+    tool = tmp_path / "ompl" / "ompl_benchmark_statistics.py"
+    tool.parent.mkdir()
+    (tool.parent / "__init__.py").touch()
+    tool.write_text("import os, sys\nsys.exit(f'of the group {os.getpgid(0)}')\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(InputError) as caught:
+        make_database(tmp_path / "benchmark.db", [])
+    said, group = caught.value.diagnostics[0].problem.rsplit(" ", 1)
+    assert said.endswith("of the group")
+    assert int(group) != os.getpgid(0)
 
 
 def test_scores_are_means_over_all_trials_and_stand_in_table_overview_json_and_manifest(
