@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import threading
+import urllib.request
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,9 @@ from support.paths import ROOT
 
 from kraft.errors import Code, InputError
 from kraft.evaluation import Evaluation, evaluate, folder
+from kraft.evaluation.journal import REPLAYS, Replays
 from kraft.evaluation.report import read_results
+from kraft.evaluation.report.server import ReportServer
 
 METHODS = ("kraft", "oneshot-openloop")
 DERIVED = ("summary.json", "report.html", "benchmark-turns.log", "benchmark-slip.log", "benchmark.db")
@@ -216,3 +220,26 @@ def test_a_journal_with_other_trials_keeps_its_results_and_its_manifest(tmp_path
     with refused((f"{journal}:2:1", Code.MISMATCH)):
         run(tmp_path / "out", 3, resume=True)
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
+
+
+def test_a_page_that_is_served_finds_its_replays_after_the_evaluation_got_more_trials(tmp_path: Path) -> None:
+    """A trial of it has another number then; its entry, method and seed stay."""
+    run(tmp_path / "out", 1)
+    with ReportServer(tmp_path / "out") as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            address, key = f"{server.url}replay/drive/slip/kraft/5", ("slip", "kraft", 5)
+            before = read(address)
+            run(tmp_path / "out", 2, resume=True)
+            read(server.url)
+            assert read(address) == before == Replays(tmp_path / "out" / REPLAYS).read(key).drive
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def read(address: str) -> str:
+    with urllib.request.urlopen(address) as answer:
+        text: str = answer.read().decode()
+    return text

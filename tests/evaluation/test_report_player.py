@@ -257,9 +257,9 @@ def test_a_served_page_reads_replays_from_the_folder_and_from_this_machine_only(
             open_trial(tab, server.url)
             assert tab.locator("script[type='text/plain']").count() == 0
             tab.wait_for_function("() => document.querySelector('#stage .tree').getAttribute('d').length > 10")
-            long = f"replay/{'9' * 5000}/drive"
+            long = f"replay/drive/turns/kraft/{'9' * 5000}"
             for path, host, status in (
-                ("", "evil.example", 403), ("replay/99/drive", None, 404), (long, None, 404), ("../x", None, 404)
+                ("", "evil.example", 403), ("replay/drive/turns/kraft/99", None, 404), (long, None, 404), ("../x", None, 404)
             ):  # fmt: skip
                 request = urllib.request.Request(server.url + path, headers={"Host": host} if host else {})
                 with pytest.raises(HTTPError) as caught:

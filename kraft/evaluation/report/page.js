@@ -200,7 +200,7 @@ async function stored(trial, part) {
   const inside = document.getElementById(`${part}:${trial.number}`);
   if (inside) return inside.textContent;
   if (!data.served) return null;
-  const answer = await fetch(`replay/${trial.number}/${part}`);
+  const answer = await fetch(`replay/${part}/${key(trial)}`);
   if (answer.status === 404) return null;
   if (!answer.ok) throw new Error(`the server answers ${answer.status} ${answer.statusText}`);
   return answer.text();

@@ -7,8 +7,10 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, Final
+from urllib.parse import unquote
 
 from kraft.errors import InputError
+from kraft.evaluation.journal import Key
 from kraft.evaluation.report.entry import replay_part
 from kraft.evaluation.report.page import page
 from kraft.evaluation.report.results import CommandLine, Results, read_results
@@ -16,14 +18,16 @@ from kraft.evaluation.report.results import CommandLine, Results, read_results
 ADDRESS: Final = "127.0.0.1"
 PARTS: Final = ("drive", "trees")
 DIGITS: Final = 12
-"""Most digits of the number of a trial: Python refuses to read numbers of thousands of digits."""
+"""Most digits of a seed: Python refuses to read numbers of thousands of digits."""
 
 
 class ReportServer(ThreadingHTTPServer):
     """Server of a results folder at a free port; the page is made again for each visit, also while trials run.
 
-    ``/`` is the page, ``/replay/17/drive`` and ``/replay/17/trees`` are the parts of the replay of trial 17.  Requests
-    for other hosts are refused, so that a page of the web cannot read the folder through a name of its own.
+    ``/`` is the page, ``/replay/drive/turns/kraft/5`` and ``/replay/trees/turns/kraft/5`` are the parts of the replay of
+    a trial, by entry, method and seed, which also name it in a page that was made before the evaluation got more
+    trials.  Requests for other hosts are refused, so that a page of the web cannot read the folder through a name of
+    its own.
     """
 
     daemon_threads = True
@@ -57,10 +61,9 @@ class ReportServer(ThreadingHTTPServer):
         self.results = read_results(self.folder, self.command_line)
         return self.results
 
-    def part(self, number: int, part: str) -> str | None:
+    def part(self, key: Key, part: str) -> str | None:
         """Part of a replay; None without."""
-        keys = {n: key for key, n in self.results.numbers.items()}
-        return replay_part(self.results.replays, keys[number], part) if number in keys else None
+        return replay_part(self.results.replays, key, part) if key in self.results.numbers else None
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -73,8 +76,8 @@ class _Handler(BaseHTTPRequestHandler):
         match self.path.split("?")[0].strip("/").split("/"):
             case [""]:
                 self._page()
-            case ["replay", number, part] if number.isdecimal() and len(number) <= DIGITS and part in PARTS:
-                self._replay(int(number), part)
+            case ["replay", part, entry, method, seed] if part in PARTS and seed.isdecimal() and len(seed) <= DIGITS:
+                self._replay((unquote(entry), unquote(method), int(seed)), part)
             case _:
                 self.send_error(HTTPStatus.NOT_FOUND)
 
@@ -87,9 +90,9 @@ class _Handler(BaseHTTPRequestHandler):
         except InputError as error:
             self._answer(str(error), "text/plain", HTTPStatus.INTERNAL_SERVER_ERROR)
 
-    def _replay(self, number: int, part: str) -> None:
+    def _replay(self, key: Key, part: str) -> None:
         try:
-            text = self.server.part(number, part)
+            text = self.server.part(key, part)
         except InputError as error:
             self._answer(str(error), "text/plain", HTTPStatus.INTERNAL_SERVER_ERROR)
             return
