@@ -80,11 +80,11 @@ def decimals(value: float | None, digits: int, none: str = "-") -> str:
 
 
 def percent(share: float | None, none: str = "-") -> str:
-    """A share in percent, ``100%`` only if it is all; `none` where it is None."""
+    """A share in percent, ``100%`` only if it is all, else ``99.9%`` at most; `none` where it is None."""
     if share is None:
         return none
     text = f"{share:.0%}"
-    return f"{share:.1%}" if text == "100%" and share < 1.0 else text
+    return f"{min(share, 0.999):.1%}" if text == "100%" and share < 1.0 else text
 
 
 SLUG_MAX: Final = 100

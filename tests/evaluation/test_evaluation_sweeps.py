@@ -205,7 +205,8 @@ def test_the_measures_are_those_of_the_summary(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_share_that_is_not_all_is_not_rounded_to_all() -> None:
-    assert [percent(share) for share in (None, 0.0, 0.094, 0.996, 1.0)] == ["-", "0%", "9%", "99.6%", "100%"]
+    shares = (None, 0.0, 0.094, 0.996, 0.9996, 1.0)
+    assert [percent(share) for share in shares] == ["-", "0%", "9%", "99.6%", "99.9%", "100%"]
 
 
 def suite_of(count: int) -> Path:
