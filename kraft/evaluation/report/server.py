@@ -24,7 +24,7 @@ DIGITS: Final = 12
 class ReportServer(ThreadingHTTPServer):
     """Server of a results folder at a free port; the page is made again for each visit, also while trials run.
 
-    ``/`` is the page, ``/replay/drive/turns/kraft/5`` and ``/replay/trees/turns/kraft/5`` are the parts of a replay: the
+    ``/`` is the page, ``/replay/drive/turns/kraft/5`` and ``/replay/trees/turns/kraft/5`` are the parts of a replay:
     entry, method and seed of its trial name it also in a page that was made before the evaluation got more trials.
     Requests for other hosts are refused, so that a page of the web cannot read the folder through a name of its own.
     """
