@@ -72,10 +72,14 @@ def perform(job: Job) -> TrialRow:
 
 
 def failed_row(job: Job, error: str, *, own_code: bool = False) -> TrialRow:
-    """Row of a failed trial; `own_code` is whether the user's own code failed."""
+    """Row of a failed trial; `own_code` is whether the user's own code failed.
+
+    What UTF-8 cannot write of the text of the error, a surrogate in the name of a file, is escaped.
+    """
     entry, method, seed = job.key
+    text = error.encode(errors="backslashreplace").decode()
     return TrialRow(
-        entry=entry, scenario=job.scenario.name, method=method, seed=seed, outcome="failed", error=error,
+        entry=entry, scenario=job.scenario.name, method=method, seed=seed, outcome="failed", error=text,
         own_code=own_code,
     )  # fmt: skip
 

@@ -21,6 +21,7 @@ from kraft.errors import Code, Defect, InputError, MissingDependency
 from kraft.evaluation import Evaluation, evaluate, evaluator, job, processes
 from kraft.evaluation.experiment import experiment_of
 from kraft.evaluation.job import Job, perform
+from kraft.evaluation.journal import TrialRow
 from kraft.trial.result import TrialResult, TrialSpec
 from kraft_cli.main import main
 
@@ -104,6 +105,12 @@ def test_a_defect_in_a_trial_fails_that_trial_only() -> None:
     found = run(fake_trials.raises, 1)
     assert [row.seed for row in found.rows if row.outcome == "failed"] == [1]
     assert (found.rows[1].error or "").startswith("ZeroDivisionError: no speed at all (")
+
+
+def test_an_error_whose_text_utf_8_cannot_write_is_a_row_of_the_journal() -> None:
+    """As of a file whose name is in another encoding, for which Python has surrogates."""
+    failed = job.failed_row(next(experiment_of(["turns"], ["kraft"], trials=1).jobs()), "no file map-\udce4.yaml")
+    assert TrialRow.model_validate_json(failed.model_dump_json()).error == "no file map-\\udce4.yaml"
 
 
 def test_a_worker_that_outlives_an_evaluation_reads_a_changed_vehicle_again_and_refuses_another_one(
