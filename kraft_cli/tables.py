@@ -138,7 +138,7 @@ def _show_all(terminal: Terminal, tables: Sequence[Table], meanings: Mapping[str
 def _show_meanings(terminal: Terminal, meanings: Sequence[tuple[str, str]]) -> None:
     """Print what columns hold; on a terminal the lines are wrapped."""
     if not terminal.out.isatty():
-        width = max(len(name) for name, _ in meanings)
+        width = max((len(name) for name, _ in meanings), default=0)
         for name, meaning in meanings:
             terminal.data(f"{name:<{width}}  {meaning}")
         return
