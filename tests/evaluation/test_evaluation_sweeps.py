@@ -27,7 +27,7 @@ from kraft.evaluation.report import Results, page, read_results
 from kraft.evaluation.report import results as of_report
 from kraft.evaluation.report.sweeps import GREY, Statistic, label_of, nice_ticks, sweep_pictures, sweeps
 from kraft.evaluation.statistics import wilson
-from kraft.evaluation.summary import measures_json, summarise
+from kraft.evaluation.summary import measures_json, summarise, tabulate
 from kraft.text import percent
 from kraft.trial.measures import Consistency, Kept, Measures
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
@@ -259,6 +259,17 @@ def test_an_entry_with_the_name_of_a_part_of_the_page_has_another_anchor(
     assert read_results(Path("out")).slugs == {name: f"entry-{name}"}
     ids = [attributes["id"] for _, attributes in Tags(Path("out/report.html").read_text()).found if "id" in attributes]
     assert len(set(ids)) == len(ids)
+
+
+def test_the_anchor_of_an_entry_with_the_name_of_a_part_of_the_page_is_not_that_of_another_entry() -> None:
+    names = ("trials", "entry-trials")
+    manifest = of_report.Manifest.model_validate({
+        "arguments": {}, "began": "", "trials": 1, "seed": 0, "realtime": False, "vehicles": {},
+        "rows": [{"entry": name, "scenario": "turns", "method": "kraft"} for name in names],
+        "scenarios": {name: {"sha256": ""} for name in names}, "versions": dict.fromkeys(of_report.VERSIONS, "1"),
+    })  # fmt: skip
+    results = Results(manifest, {}, tabulate(manifest.names, manifest.seeds, {}, 0.0), {})
+    assert results.slugs == {"trials": "entry-entry-trials", "entry-trials": "entry-trials"}
 
 
 def test_a_page_of_many_entries_is_small_and_resolves_names_once(monkeypatch: pytest.MonkeyPatch) -> None:

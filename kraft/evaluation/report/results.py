@@ -213,10 +213,17 @@ class Results:
     @cached_property
     def slugs(self) -> dict[str, str]:
         """Each entry's name as an anchor and as a part of a file's name."""
-        taken = {
-            f"entry-{name}" if name in ANCHORS or name.startswith(ANCHORED) else name: name for name in self.entries
-        }
+        taken = {self._anchor(name): name for name in self.entries}
         return {taken[name]: slug for name, slug in slugs(taken).items()}
+
+    def _anchor(self, entry: str) -> str:
+        """Name of an entry, or if that is an anchor of the page, one that no other entry has."""
+        if entry not in ANCHORS and not entry.startswith(ANCHORED):
+            return entry
+        anchor = f"entry-{entry}"
+        while anchor in self.entries:
+            anchor = f"entry-{anchor}"
+        return anchor
 
     @cached_property
     def _scenarios(self) -> dict[str, str]:
