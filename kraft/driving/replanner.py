@@ -207,14 +207,18 @@ class Replanner:
         self._decision = decision
         return cycle
 
-    def prepare(self) -> None:
-        """Second part of `step`: plan for the cycle after the one that was decided."""
+    def prepare(self, taken: float = 0.0) -> None:
+        """Second part of `step`: plan for the cycle after the one that was decided.
+
+        By the clock, the search is shorter by the time of the cycle that something else takes (`taken`, s).
+        """
         assert self._decision is not None, "a cycle was decided"
         if not self._has_maps:
             self._make_maps()
         if not self._one_shot:
             decision = self._decision
             root = self._with_room(decision.predicted.final_state)
+            self.proposer.search.budget.taken = taken
             self.proposal = self.proposer.propose(self._number, root, decision.plan)
 
     def _look_for_blockage(self, estimate: Estimate, current: Commitment) -> tuple[float, float] | None:

@@ -20,6 +20,8 @@ PATIENCE: Final = 0.4
 """Share of the iterations after which a search at a level without a way to the goal ends."""
 LEVEL_TIME: Final = 0.15
 """Share of the remaining time in which a search finds a way at a level, by the clock."""
+LEAST_TIME: Final = 0.3
+"""Share of the time of a cycle that its searches have whatever else takes time, by the clock."""
 RESERVED_TIME: Final = 0.2
 """Share of the time of a cycle that is left for other levels, by the clock."""
 
@@ -35,6 +37,8 @@ class SearchBudget:
         """`realtime` limits the searches by wall-clock time instead of iterations."""
         self._settings, self._realtime, self._at_levels = settings, realtime, settings.bound is not None
         self._ends = math.inf
+        self.taken = 0.0
+        """time of a cycle that something else takes, by the clock, s"""
         self.left = 0
         """iterations that the searches of the cycle may still spend; in turn, those beyond the ones that each has"""
         self.spent = 0
@@ -43,7 +47,8 @@ class SearchBudget:
     def begin(self, began: float) -> None:
         """Begin a cycle whose planning began at `began` s of the clock."""
         settings = self._settings
-        self._ends, self.spent = began + settings.clock_budget, 0
+        whole = settings.clock_budget
+        self._ends, self.spent = began + max(whole - self.taken, LEAST_TIME * whole), 0
         self.left = settings.largest_budget - (0 if self._at_levels else settings.iterations)
 
     def allow(self, iterations: int) -> None:

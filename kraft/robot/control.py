@@ -93,7 +93,7 @@ class ControlLoop:
         self._observations: list[Observation] = []
         self._commands: list[tuple[float, Floats, Floats]] = []
         self._arrival, self._newest_map = Arrival(spec.task.goal, spec.vehicle), NewestMap(spec.vehicle)
-        self._asked = 0  # number of changes that the planner has not answered
+        self._unanswered = deque[bool]()  # changes that the planner has not answered: whether with a new goal
         self._link = Link(transport, spec.robot.command.timeout)
         self._ending: tuple[str, str] | None = None
         self._stood = 0.0  # time for which the vehicle has stood at the end of a contingency, s
@@ -290,6 +290,7 @@ class ControlLoop:
         for message in self._mailbox.take():
             if isinstance(message, Planned):
                 self._requests.answered(self._acts(now))
+                self._newest_map.decided()
                 self._planned.append(message)
             elif isinstance(message, TaskTaken):
                 self._take_answer(now, message)
@@ -373,14 +374,15 @@ class ControlLoop:
         self._mailbox.send(DecisionRequest(now, number, self._sensed(), self._on_board.commitment))
 
     def _take_task(self, now: float) -> None:
-        """Hand a new goal or map to the planner at once: it gets ready for it before it decides the next time."""
+        """Hand a new goal or map to the planner: it gets ready for it before it decides the next time."""
         goal, grid = self._tasks.take_goal(), self._tasks.take_map()
         if problem := self._tasks.take_goal_problem():
             self._event(now, problem)
         if grid is not None:
             self._take_map(now, grid)
+        grid = self._newest_map.hand_over(self._acts(now))
         if (goal is not None or grid is not None) and not self._mailbox.closed:
-            self._asked += 1
+            self._unanswered.append(goal is not None)
             self._mailbox.send(TaskChange(goal, grid))
 
     def _take_map(self, now: float, grid: OccupancyMap) -> None:
@@ -394,7 +396,7 @@ class ControlLoop:
 
     def _take_answer(self, now: float, answer: TaskTaken) -> None:
         """Take over the goal that the planner has taken; it may have refused one."""
-        self._asked -= 1
+        self._unanswered.popleft()
         if answer.goal is not None:
             self._arrival.move(answer.goal)
         if answer.problem:
@@ -423,7 +425,7 @@ class ControlLoop:
 
     def _look_for_end(self, now: float, estimate: Estimate) -> None:
         watchdog = self._spec.robot.watchdog
-        if self._arrival.look(estimate.state, may_count=now > 0.0 and self._asked == 0):
+        if self._arrival.look(estimate.state, may_count=now > 0.0 and not any(self._unanswered)):
             self._end(now, "success", "")
         elif wrong := self._tracker.response.trouble:  # which does not go away
             self._end(now, "stopped", wrong)

@@ -23,24 +23,40 @@ Pose: TypeAlias = tuple[float, float, float]
 
 
 class NewestMap:
-    """The newest map that has arrived; None so far if nothing has."""
+    """The newest map that has arrived, if any has, and whether the planner has it.
+
+    The planner gets one map at most for each decision: to get ready for one takes a good part of a cycle, and a robot
+    may send five in a second.
+    """
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
         self._map: OccupancyMap | None = None
-        self._since, self._pose = -math.inf, (0.0, 0.0, 0.0)  # when it arrived, and where the vehicle was then
+        self._pose = (0.0, 0.0, 0.0)  # where the vehicle was when it arrived
+        self._handed_over, self._has_decided = math.inf, True  # when the planner got it; whether it has decided since
 
     def take(self, grid: OccupancyMap, estimate: Estimate) -> None:
         """Take a map that has just arrived, with the estimate of now."""
-        self._map, self._since, self._pose = grid, estimate.time, pose_of(estimate.state, self._vehicle)
+        self._map, self._handed_over, self._pose = grid, math.inf, pose_of(estimate.state, self._vehicle)
+
+    def hand_over(self, time: float) -> OccupancyMap | None:
+        """Map that the planner gets at `time` (s), of the estimate of now; None if it has it, or must decide first."""
+        if self._map is None or self._handed_over < math.inf or not self._has_decided:
+            return None
+        self._handed_over, self._has_decided = time, False
+        return self._map
+
+    def decided(self) -> None:
+        """Note that the planner has decided."""
+        self._has_decided = True
 
     def in_the_way_of(self, commitment: Commitment, time: float) -> tuple[float, float] | None:
         """Place (m) in the map into which a commitment leads after `time` (s), until its last reference ends.
 
-        None if there is no such place, or if the commitment was decided after the map had arrived.  What the vehicle
-        touched when it arrived does not count: nothing would keep the vehicle away from that.
+        None if there is no such place, or if the planner had the map when it decided.  What the vehicle touched when
+        the map arrived does not count: nothing would keep the vehicle away from that.
         """
-        if self._map is None or commitment.decided >= self._since:
+        if self._map is None or commitment.decided >= self._handed_over:
             return None
         footprint = self._vehicle.footprint
         for state in _states(commitment, time):

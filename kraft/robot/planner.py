@@ -43,6 +43,7 @@ class Planner:
         self._spec, self._keep_trees = spec, keep_trees
         self._task = spec.task
         self._replanner: Replanner | None = None
+        self._changing = 0.0  # time that changes of the task have taken since the last search, s
 
     def begin(self, pose: tuple[float, float, float], grid: OccupancyMap | None = None) -> BeginOrder:
         """Plan the first cycle from where the vehicle stands, around the robot's map too."""
@@ -115,9 +116,10 @@ class Planner:
         return Planned(replace(cycle, tree=None), learned), cycle.tree
 
     def prepare(self) -> None:
-        """Plan for the next cycle."""
+        """Plan for the next cycle, in less time if the task has changed: maps that arrive often go on doing so."""
         assert self._replanner is not None, "it has begun"
-        self._replanner.prepare()
+        taken, self._changing = self._changing, 0.0
+        self._replanner.prepare(taken)
 
     def change(self, change: TaskChange) -> TaskTaken:
         """Decide and plan for a new goal or map from now on.
@@ -126,6 +128,7 @@ class Planner:
         that cannot be reached is not taken: the last one stays.
         """
         assert self._replanner is not None, "it has begun"
+        began = perf_counter()
         task, goal = changed(self._task, change.goal, change.map), change.goal
         if problem := self._goal_problem(task):
             if goal is not None:
@@ -137,6 +140,7 @@ class Planner:
         self._solvers = Solvers.of(self._task, self._spec.vehicle, self._spec.method.planner, blocked)
         self._solvers.load(self._state)
         self._replanner.set_solvers(self._solvers, blocked)
+        self._changing += perf_counter() - began
         return TaskTaken(goal, problem)
 
     def _goal_problem(self, task: Task) -> str:
