@@ -262,10 +262,11 @@ def _key(vehicle: Vehicle) -> str:
 
 
 def vehicle_cache_folder(vehicle: Vehicle) -> Path:
-    """Folder of the vehicle's machine code; a temporary one of this process for a vehicle without a source file."""
-    if vehicle.source:
-        return cache_folder(vehicle.hash)
-    return _process_folder()
+    """Folder of the vehicle's machine code; a temporary one of this process for a vehicle without a source file.
+
+    Each vehicle has one of its own: the key of a cached kernel has its own code, not that of the vehicle's functions.
+    """
+    return cache_folder(vehicle.hash) if vehicle.source else _process_folder() / _key(vehicle)
 
 
 def _done_marker(vehicle: Vehicle, name: str = "complete") -> Path:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,8 +20,9 @@ from ompl_ext.jit import callee, caller, compiled, inlined
 from ompl_ext.kernel_cache import cache_folder
 from ompl_ext.kernels import tree
 from ompl_ext.kernels.functions import BRAKE, CHECK, PROPAGATE
-from ompl_ext.kernels.specialise import kernels, layout_module_of
+from ompl_ext.kernels.specialise import kernels, layout_module_of, vehicle_cache_folder
 from ompl_ext.processor import with_wide_vectors
+from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
 
 def shared(function: object) -> bool:
@@ -73,6 +76,29 @@ def test_vehicles_with_the_same_layout_of_the_state_share_its_checks_and_nothing
     first, second, third = (kernels(vehicle).functions for vehicle in (BENCHMARK, alike, other))
     assert first[CHECK] == second[CHECK] != third[CHECK]
     assert len({f[number] for f in (first, second, third) for number in (PROPAGATE, BRAKE)}) == 6
+
+
+def from_a_prompt(gain: float) -> Vehicle:
+    """Vehicle whose function has no source, and moves along x at `gain` times its command."""
+    names: dict[str, Any] = {"derivative": derivative}
+    exec(f"@derivative\ndef motion(x, u, p):\n    return {gain} * u[0], 0.0\n", names)
+    return Vehicle("prompt", names["motion"], ("x", "y"), {"v": (0.0, 1.0)}, Footprint(0.4, 0.2), 1.0, rest=())
+
+
+def rate_kernel(vehicle: Vehicle) -> Callable[[float], float]:
+    """Kernel with the code of every vehicle's and this one's function, as `specialise` makes them: rate of x."""
+    names: dict[str, Any] = {"__name__": __name__, "derivative": vehicle.derivative}
+    code = "def rate(v):\n    return derivative((0.0, 0.0), (v,), (0.0,))[0]\n"
+    exec(compile(code, __file__, "exec"), names)
+    folder, signature = vehicle_cache_folder(vehicle), types.float64(types.float64)
+    kernel: Callable[[float], float] = compiled(names["rate"], folder=folder, signature=signature)
+    return kernel
+
+
+def test_a_vehicle_without_source_has_its_own_machine_code_and_not_that_of_an_earlier_one() -> None:
+    vehicles = [from_a_prompt(1.0), from_a_prompt(2.0)]
+    assert [vehicle.source for vehicle in vehicles] == ["", ""]
+    assert [rate_kernel(vehicle)(0.5) for vehicle in vehicles] == [0.5, 1.0]
 
 
 def test_vectors_are_wide_only_on_processors_that_keep_their_clock_with_them() -> None:
