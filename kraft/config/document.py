@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from codecs import BOM_UTF8
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,14 +80,13 @@ def decode(content: bytes, file: str) -> str:
     Raises:
         InputError: if it is not UTF-8.
     """
+    content = content.removeprefix(BOM_UTF8)
     try:
-        return content.decode("utf-8-sig")
+        return content.decode("utf-8")
     except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        column = error.start - (content.rfind(b"\n", 0, error.start) + 1) + 1
-        raise syntax_error(
-            file, Position(line, column), "is not UTF-8 text", "expected the file saved as UTF-8"
-        ) from error
+        before = content[: error.start].decode("utf-8")
+        at = Position(before.count("\n") + 1, len(before) - before.rfind("\n"))
+        raise syntax_error(file, at, "is not UTF-8 text", "expected the file saved as UTF-8") from error
 
 
 def syntax_error(file: str, at: Position | None, problem: str, expected: str) -> InputError:

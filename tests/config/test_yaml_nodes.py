@@ -108,6 +108,8 @@ def test_a_word_means_the_same_to_everyone(word: str, value: object) -> None:
         ('a: "\\ud800"', "1:4 a syntax"),
         ('a: "\\UFFFFFFFF"', "1:7 syntax"),
         (b"a: 1\nb: \xff", "2:4 syntax"),
+        (b"\xef\xbb\xbfa: 1\n\xff", "2:1 syntax"),
+        ("a: zwölf".encode() + b"\xff", "1:9 syntax"),
         ("a: 1".encode("utf-16"), "1:1 syntax"),
         ("a: " + "[" * 400, "1:53 syntax"),
         ("a: " + "x" * 300_000, "unreadable"),
