@@ -1,7 +1,7 @@
 """JSON reader that keeps line and column of every value, as `kraft.config.yaml_reader` does for YAML.
 
 For files that kraft writes itself: they may be large, and the YAML reader is much slower.  Numbers and words have the
-same values in both.  Repeated keys are errors.
+same values in both, and integers may have more digits here: a seed is any whole number.  Repeated keys are errors.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ _SPACE: Final = re.compile(r"[ \t\r\n]*")
 _WORD: Final = re.compile(r"[-+.\w]+")
 _JSON_WORD: Final = re.compile(r"-?(0|[1-9][0-9]*)(\.[0-9]+)?([eE][-+]?[0-9]+)?\Z|true\Z|false\Z|null\Z")
 _STRINGS: Final = json.JSONDecoder()
+_DIGITS_MAX: Final = 300
+"""Most digits of an integer: all of 300 digits are finite as a float."""
 
 
 def read_json(path: Path, bytes_max: int, expected: str) -> Document:
@@ -119,7 +121,7 @@ class _Scanner:
         if not _JSON_WORD.match(word[0]):
             raise self.syntax_error(at, f"{word[0][:40]} is neither a number nor true, false or null")
         try:
-            return plain_scalar(word[0]), word.end()
+            return plain_scalar(word[0], _DIGITS_MAX), word.end()
         except AmbiguousScalar as error:
             return self.reject(at, path, error.problem, error.expected, Code.VALUE), word.end()
 

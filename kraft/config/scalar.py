@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 Scalar: TypeAlias = str | int | float | bool | None
 
@@ -20,8 +20,8 @@ _LEADING_ZERO = re.compile(r"([-+]?)0+([0-9]+)\Z")
 _OTHER_BASE = re.compile(r"[-+]?0[xXoObB][0-9a-fA-F_]+\Z")
 _UNDERSCORED = re.compile(r"[-+]?[0-9][0-9_]*_[0-9_]*(\.[0-9_]*)?\Z")
 _NOT_FINITE = re.compile(r"([-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))\Z")
-_DIGITS_MAX = 18
-"""Most digits of an integer: all of 18 digits fit 64 bits."""
+DIGITS_MAX: Final = 18
+"""Most digits of an integer that people write: all of 18 digits fit 64 bits."""
 
 
 class AmbiguousScalar(ValueError):  # noqa: N818 - it names the word
@@ -33,20 +33,20 @@ class AmbiguousScalar(ValueError):  # noqa: N818 - it names the word
         self.expected = expected
 
 
-def plain_scalar(word: str) -> Scalar:
+def plain_scalar(word: str, digits_max: int = DIGITS_MAX) -> Scalar:
     """Value of an unquoted word.
 
     Raises:
         AmbiguousScalar: for an integer with leading zeros, another base or underscores, a number that is
-            not finite, and an integer beyond 18 digits.
+            not finite, and an integer beyond `digits_max` digits.
     """
     if word in _NULL:
         return None
     if word in _TRUE or word in _FALSE:
         return word in _TRUE
     if _INTEGER.match(word):
-        if len(word.lstrip("+-")) > _DIGITS_MAX:
-            raise AmbiguousScalar(f"the number {_short(word)} is too large", "expected at most 18 digits")
+        if len(word.lstrip("+-")) > digits_max:
+            raise AmbiguousScalar(f"the number {_short(word)} is too large", f"expected at most {digits_max} digits")
         return int(word)
     _refuse_ambiguous(word)
     if _FLOAT.match(word):

@@ -15,13 +15,27 @@ from support.diagnostics import located, raised
 
 from kraft.errors import InputError
 from kraft.planning.plan import PlanResult, plan_task
-from kraft.planning.plan_file import Origin, plan_text, read_plan, read_plan_file, task_hash, write_plan
+from kraft.planning.plan_file import (
+    SCHEMA,
+    Origin,
+    plan_text,
+    read_plan,
+    read_plan_file,
+    task_hash,
+    write_plan,
+)
 from kraft.planning.search import Budget, Previous
 from kraft.scenario import Task, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.vehicle import Vehicle
 
 ORIGIN = Origin("turns", "mushr")
+SMALL = {
+    "schema": SCHEMA, "seed": 0, "goal": {"reached": True}, "cost": 1.0, "cost_to_go": 0.0, "durations": [1.0],
+    "controls": [[0.5]], "states": [[0.0, 0.0], [0.5, 0.0]], "times": [0.0, 1.0],
+    "trajectory": [[0.0, 0.0], [0.5, 0.0]], "contingency": None,
+}  # fmt: skip
+"""Plan of one edge of a vehicle with two components and one control."""
 
 
 @pytest.fixture(scope="module")
@@ -210,6 +224,12 @@ def test_numbers_too_large_for_a_double_are_refused(text: str, tmp_path: Path) -
     for number in ("1e999", "1" + "0" * 400):
         problems = wrong(tmp_path, text[:start] + f"{number}, " + text[start:])
         assert "durations[0] value" in keys_and_codes(problems)
+
+
+def test_a_plan_of_any_seed_is_read(tmp_path: Path) -> None:
+    seed = 2**128
+    (tmp_path / "plan.json").write_text(json.dumps({**SMALL, "seed": seed}))
+    assert read_plan_file(tmp_path / "plan.json").seed == seed
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
