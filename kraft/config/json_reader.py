@@ -24,6 +24,7 @@ _JSON_WORD: Final = re.compile(r"-?(0|[1-9][0-9]*)(\.[0-9]+)?([eE][-+]?[0-9]+)?\
 _STRINGS: Final = json.JSONDecoder()
 _DIGITS_MAX: Final = 300
 """Most digits of an integer: all of 300 digits are finite as a float."""
+_HALF_PAIR: Final = "contains half of a surrogate pair"
 
 
 def read_json(path: Path, bytes_max: int, expected: str) -> Document:
@@ -72,8 +73,7 @@ class _Scanner:
             case '"':
                 text, end = self.string(at)
                 if holds_surrogate(text):
-                    problem, wanted = "contains half of a surrogate pair", "expected text that UTF-8 can write"
-                    return self.reject(at, path, problem, wanted, Code.SYNTAX), end
+                    return self.reject(at, path, _HALF_PAIR, "expected text that UTF-8 can write", Code.SYNTAX), end
                 return text, end
         return self.word(at, path)
 
@@ -87,6 +87,8 @@ class _Scanner:
                 raise self.syntax_error(at, "a key in double quotes is missing")
             position = self.position(at)
             key, end = self.string(at)
+            if holds_surrogate(key):
+                raise self.syntax_error(at, f"a key {_HALF_PAIR}")
             inner = (*path, key)
             if key in result:
                 problem = f"the key is repeated; it is first at {self.keys[inner]}"

@@ -169,6 +169,7 @@ def changed(text: str, **changes: Any) -> str:
         (b"\xff\xfe", "1:1 syntax"),
         ("{}", "1:1 schema mismatch"),
         ('{"schema": "kraft.plan/1"}', "1:12 schema mismatch"),
+        ('{"\\ud800": 1}', "1:2 syntax"),
     ],
 )
 def test_what_is_not_a_plan_file_is_refused(content: str | bytes, expected: str, tmp_path: Path) -> None:
