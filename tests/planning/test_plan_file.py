@@ -233,6 +233,12 @@ def test_a_plan_of_any_seed_is_read(tmp_path: Path) -> None:
     assert read_plan_file(tmp_path / "plan.json").seed == seed
 
 
+def test_durations_whose_sum_is_too_large_for_a_double_are_refused(tmp_path: Path) -> None:
+    twice = {"durations": [1e308, 1e308], "controls": [[0.5]] * 2, "states": [[0.0, 0.0]] * 3}
+    problems = keys_and_codes(wrong(tmp_path, json.dumps({**SMALL, **twice})))
+    assert problems == ["cost mismatch", "durations[0] value", "durations[1] value", "times mismatch"]
+
+
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(place=st.floats(0, 1), what=st.binary(max_size=6), cut=st.integers(0, 6))
 def test_a_damaged_file_is_read_as_a_plan_or_refused_never_anything_else(
