@@ -58,7 +58,7 @@ def install_command(extra: str) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Value as nested lists and dictionaries; an array as its shape and the hash of its bytes.
+    """Value as nested lists and dictionaries; an array as its shape and the hash of its bytes, a number as Python's.
 
     Fields of a dataclass that comparisons ignore (positions in a file) are ignored here too.
     """
@@ -66,6 +66,8 @@ def plain(value: Any) -> Any:
         return value.model_dump(mode="json")
     if isinstance(value, np.ndarray):
         return [list(value.shape), hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()]
+    if isinstance(value, np.generic):
+        return value.item()
     if is_dataclass(value) and not isinstance(value, type):
         return {type(value).__name__: {f.name: plain(getattr(value, f.name)) for f in fields(value) if f.compare}}
     if isinstance(value, dict):

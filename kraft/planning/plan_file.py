@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field
 from pydantic_core import PydanticCustomError
 
-from kraft.config.document import Document
+from kraft.config.document import Document, frozen
 from kraft.config.json_reader import read_json
 from kraft.config.schema import NonNegative, Positive, StrictModel, check, describe, refuse
 from kraft.errors import Code, InputError
@@ -124,15 +124,15 @@ def task_hash(task: Task) -> str:
 
 
 def vehicle_content(vehicle: Vehicle, reference: str) -> dict[str, Any]:
-    """Vehicle as plain data; `reference` is how it was named."""
+    """Vehicle as plain data, with Python's numbers for those of numpy; `reference` is how it was named."""
     return {
         "name": vehicle.name,
         "reference": reference,
         "state": list(vehicle.state),
-        "controls": {name: list(bounds) for name, bounds in vehicle.controls.items()},
-        "parameters": dict(vehicle.parameters),
-        "footprint": asdict(vehicle.footprint),
-        "top_speed": vehicle.top_speed,
+        "controls": {name: list(map(frozen, bounds)) for name, bounds in vehicle.controls.items()},
+        "parameters": frozen(vehicle.parameters),
+        "footprint": frozen(asdict(vehicle.footprint)),
+        "top_speed": frozen(vehicle.top_speed),
     }
 
 

@@ -18,16 +18,20 @@ from kraft.planning.plan import PlanResult, plan_task
 from kraft.planning.plan_file import (
     SCHEMA,
     Origin,
+    dumps,
     plan_text,
     read_plan,
     read_plan_file,
     task_hash,
+    vehicle_content,
     write_plan,
 )
 from kraft.planning.search import Budget, Previous
+from kraft.provenance import plain_hash
 from kraft.scenario import Task, load_scenario, parse_scenario
 from kraft.vehicles.load import load_vehicle
-from ompl_ext.vehicle import Vehicle
+from kraft.vehicles.mushr import MUSHR
+from ompl_ext.vehicle import Footprint, Vehicle
 
 ORIGIN = Origin("turns", "mushr")
 SMALL = {
@@ -209,6 +213,23 @@ def test_a_problem_of_a_plan_file_has_line_and_column(text: str, tmp_path: Path)
     problems = wrong(tmp_path, "\n".join(damaged))
     assert f"{line + 1}:6 states[0][0] type" in problems
     assert any(problem.endswith(":3 cosst unknown") for problem in problems)
+
+
+def test_the_numbers_of_a_vehicle_in_code_may_be_those_of_numpy() -> None:
+    numbers: dict[str, Any] = {
+        "controls": {"throttle": (np.int64(0), np.float32(1.0)), "steering": np.array([-0.5, 0.5])},
+        "parameters": {**MUSHR.parameters, "L": np.float32(0.25)},
+        "footprint": Footprint(np.float32(0.5), np.float64(0.25)),
+        "top_speed": np.float32(0.5),
+        "delay": (np.float32(0.25), np.int64(1)),
+    }
+    vehicle = dataclasses.replace(MUSHR, **numbers)
+    read = json.loads(dumps(vehicle_content(vehicle, "my.py")))
+    assert read["controls"] == {"throttle": [0, 1.0], "steering": [-0.5, 0.5]}
+    assert read["parameters"] == {**MUSHR.parameters, "L": 0.25}
+    assert read["footprint"] == {"length": 0.5, "width": 0.25, "offset": 0.0}
+    assert read["top_speed"] == 0.5
+    assert plain_hash(vehicle.delay) == plain_hash((0.25, 1))
 
 
 def test_a_repeated_key_is_a_problem(text: str, tmp_path: Path) -> None:
