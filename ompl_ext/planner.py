@@ -137,10 +137,14 @@ class DIRT(ob.Planner):
 
         Raises:
             TypeError: `tree` is no tree.
+            ValueError: its edges have another number of controls.
         """
         if not isinstance(tree, TreeView):
             expected = "expected what tree() of a planner returns"
             raise TypeError(f"DIRT: retain_tree() got a {type(tree).__name__}; {expected}")
+        own, given = ControlLayout(self.getSpaceInformation().getControlSpace()).dimension, tree.controls.shape[1]
+        if given != own:
+            raise ValueError(f"DIRT: retain_tree() got a tree with {given} controls an edge; expected {own}")
         parents, controls, durations = tree.edges_of_first_root()
         self._retained = _Retained(parents, controls, durations)
 

@@ -147,7 +147,7 @@ class QueryTree(EdgeChecker):
         bounds is omitted, with all after it.
 
         Raises:
-            ValueError: `elapsed` is negative or not finite.
+            ValueError: `elapsed` is negative or not finite, or the plan has another number of controls.
         """
         if not 0.0 <= elapsed < math.inf:
             raise ValueError(f"elapsed is {elapsed}; expected finite seconds, 0 or more")
@@ -167,6 +167,9 @@ class QueryTree(EdgeChecker):
         An edge that cannot be added (see `retain`) is omitted, with all that begin where it ends.  The first n edges
         are corrected to end at `targets` (n, Q_DIM), if there are any.  If they are `continued`, the first ones are
         those of the last call, which are not added again.
+
+        Raises:
+            ValueError: the edges have another number of controls.
         """
         before = int(self._tree.count[at.RETAINED])
         began = time.perf_counter()

@@ -124,8 +124,14 @@ def edges_to_retain(
     The first n edges are corrected to end at `targets` (n, Q_DIM), configurations in the tree's metric.  The first m
     edges may have been added before: `known` (m,) are their nodes.  Edges with a control beyond its `bounds` (nu, 2),
     if these are given, are not added: the earlier plan was that of a vehicle, or had limits, that are no longer there.
+
+    Raises:
+        ValueError: edges have another number of controls than bounds are given.
     """
-    edge = np.empty((len(durations), np.shape(controls)[1] + 1))
+    nu = np.shape(controls)[1]
+    if bounds is not None and len(durations) > 0 and nu != len(bounds):  # the kernel reads as many as the vehicle has
+        raise ValueError(f"edges to retain have {nu} controls; expected {len(bounds)}")
+    edge = np.empty((len(durations), nu + 1))
     edge[:, :-1], edge[:, -1] = controls, durations
     target = np.zeros((0, Q_DIM)) if targets is None else np.ascontiguousarray(targets, dtype=float)
     node = np.full(len(parent), WAITING)

@@ -21,8 +21,10 @@ from kraft.vehicles.mushr import MUSHR
 from ompl_ext import planner as module
 from ompl_ext.callback import CallbackSearch
 from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace, box
+from ompl_ext.plan import TreeView
 from ompl_ext.planner import DIRT
 from ompl_ext.query import Goal, Settings
+from ompl_ext.retainment import edges_to_retain
 from ompl_ext.solver import DirtSolver
 from ompl_ext.system import simple_setup
 from ompl_ext.vehicle import ParameterRange
@@ -261,6 +263,15 @@ def test_what_is_no_path_and_no_tree_is_not_retained() -> None:
             planner.retain(given, 1.0)
         with pytest.raises(TypeError, match=r"expected what tree\(\) of a planner returns"):
             planner.retain_tree(given)
+
+
+def test_edges_with_another_number_of_controls_are_not_retained() -> None:
+    none, tree = np.zeros(2), TreeView(np.zeros((2, 2)), np.array([-1, 0]), np.zeros((2, 1)), *(np.zeros(2),) * 3)
+    with pytest.raises(ValueError, match="1 controls an edge; expected 2"):
+        DIRT(point()).retain_tree(tree)
+    with pytest.raises(ValueError, match="have 1 controls; expected 2"):
+        edges_to_retain([-1, 0], np.zeros((2, 1)), none, bounds=np.array([[-1.0, 1.0], [-1.0, 1.0]]))
+    assert len(edges_to_retain([], np.zeros((0, 0)), none[:0], bounds=np.array([[-1.0, 1.0]])).parent) == 0
 
 
 def test_an_empty_path_retains_nothing_and_a_time_before_it_is_refused() -> None:
