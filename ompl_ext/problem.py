@@ -138,7 +138,7 @@ def _set_maps(
 def _options(vehicle: Vehicle, safety: Safety, settings: Settings) -> Ints:
     """Whole numbers of a query without a goal, see `ompl_ext.kernels.kernel_types`."""
     option = np.zeros(OPTIONS, np.int64)
-    option[at.STEPS] = round(settings.longest / settings.quantum) if settings.quantum > 0 else settings.steps
+    option[at.STEPS] = settings.most_steps
     option[at.BRAKE_STEPS] = math.ceil(safety.horizon / safety.step)
     option[at.MANOEUVRES] = len(vehicle.manoeuvres)
     option[[at.BLOSSOM, at.INSERTIONS]] = settings.blossom, settings.insertions

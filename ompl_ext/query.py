@@ -196,12 +196,11 @@ class Settings:
         fractions = [name for name in whole if not isinstance(getattr(self, name), Integral)]
         if fractions:
             raise ValueError(f"settings: {', '.join(fractions)} must be whole numbers")
-        longest = math.floor(self.longest / self.quantum + 0.5) if self.quantum > 0 else self.steps
         rules = {
             f"planner is {self.planner!r}, not 'dirt' or 'sst'": self.planner in ("dirt", "sst"),
             f"blossom is {self.blossom}, not 1 to {LANE_WIDTH}": 1 <= self.blossom <= LANE_WIDTH,
             f"insertions is {self.insertions}, not 1 to blossom": 1 <= self.insertions <= max(self.blossom, 1),
-            f"an edge has {longest} integration steps, not 1 to {MAX_STEPS}": 1 <= longest <= MAX_STEPS,
+            f"an edge has {self.most_steps} integration steps, not 1 to {MAX_STEPS}": 1 <= self.most_steps <= MAX_STEPS,
             f"durations {self.shortest} to {self.longest} are not 0 < shortest <= longest": 0
             < self.shortest
             <= self.longest
@@ -227,3 +226,11 @@ class Settings:
         wrong = [what for what, fine in rules.items() if not fine]
         if wrong:
             raise ValueError("settings: " + "; ".join(wrong))
+
+    @property
+    def most_steps(self) -> int:
+        """Integration steps of the longest edge: with a quantum those of the multiple of it that is nearest."""
+        if not self.quantum > 0:
+            return self.steps
+        multiples = self.longest / self.quantum
+        return math.floor(multiples + 0.5) if multiples <= MAX_STEPS else MAX_STEPS + 1

@@ -20,9 +20,11 @@ from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.mushr import MUSHR
 from ompl_ext import planner as module
 from ompl_ext.callback import CallbackSearch
+from ompl_ext.kernels import kernel_types as at
 from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace, box
 from ompl_ext.plan import TreeView
 from ompl_ext.planner import DIRT
+from ompl_ext.problem import _options
 from ompl_ext.query import Goal, Settings
 from ompl_ext.retainment import edges_to_retain
 from ompl_ext.solver import DirtSolver
@@ -263,6 +265,18 @@ def test_what_is_no_path_and_no_tree_is_not_retained() -> None:
             planner.retain(given, 1.0)
         with pytest.raises(TypeError, match=r"expected what tree\(\) of a planner returns"):
             planner.retain_tree(given)
+
+
+@pytest.mark.parametrize(("longest", "steps"), [(0.05, 1), (0.25, 3), (1.0, 10)])
+def test_the_longest_edge_has_the_steps_that_are_checked(longest: float, steps: int) -> None:
+    settings = Settings(shortest=0.05, longest=longest, quantum=0.1)
+    assert _options(BENCHMARK, NO_SAFETY, settings)[at.STEPS] == steps
+
+
+def test_a_longest_edge_without_end_is_refused_with_a_quantum_too() -> None:
+    for longest in (math.inf, math.nan):
+        with pytest.raises(ValueError, match="not 0 < shortest <= longest"):
+            Settings(longest=longest, quantum=0.1)
 
 
 def test_edges_with_another_number_of_controls_are_not_retained() -> None:
