@@ -278,8 +278,9 @@ def memory_of_maps(
 
 
 def _largest_delta(vehicle: Vehicle, safety: Safety) -> float:
-    """Largest clearance delta(t, v) that a query requires (m)."""
-    return float(safety.clearance(np.array(vehicle.top_speed), np.array(safety.delta_horizon)))
+    """Largest clearance delta(t, v) that a query requires (m), until `safety.near` or after it."""
+    times = np.array([min(safety.near, safety.delta_horizon), math.inf])
+    return float(safety.clearance(np.array(vehicle.top_speed), times).max())
 
 
 @lru_cache(CACHED_MAPS)

@@ -8,6 +8,7 @@ from support.kernels import BENCHMARK, GOAL, NO_SAFETY, ROVER, TURNS
 from support.kernels import START as TURNS_START
 
 from ompl_ext.obstacles import Workspace, box
+from ompl_ext.problem import _largest_delta
 from ompl_ext.query import Safety
 from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
@@ -33,6 +34,18 @@ def test_clearance_is_the_sum_of_its_parts() -> None:
     safety = Safety(delta=0.1, delta_per_speed=0.2, delta_per_time=0.04, delta_horizon=1.5)
     speeds, times = np.array([0.0, 0.5, -0.5, 0.0, 0.0]), np.array([0.0, 0.0, 1.0, np.inf, -1.0])
     assert safety.clearance(speeds, times) == pytest.approx([0.1, 0.2, 0.24, 0.16, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("safety", "largest"),
+    [
+        (Safety(delta=0.1, delta_per_speed=0.2, delta_per_time=0.1, delta_horizon=2.0), 0.5),
+        (Safety(delta=0.1, delta_per_time=0.1, delta_horizon=2.0, near=1.0), 0.2),
+        (Safety(delta=0.1, near=1.0, far_delta=0.3), 0.3),
+    ],
+)
+def test_maps_are_made_for_the_largest_clearance_of_all_times(safety: Safety, largest: float) -> None:
+    assert _largest_delta(ROVER, safety) == pytest.approx(largest)
 
 
 def test_another_clearance_is_kept_after_the_near_time() -> None:
