@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, TypeVar
 
-from kraft.config.document import Document, Value, frozen
+from kraft.config.document import Document, Unusable, Value, frozen
 from kraft.config.source import KeyPath, Place, format_path, parse_path
 from kraft.config.yaml_reader import parse_document
 from kraft.errors import Code, Diagnostic, InputError
@@ -228,6 +228,8 @@ def _replaced(data: Value, path: KeyPath, override: Override) -> tuple[KeyPath, 
     """`data` with the override's value at `path`, and before it the path of what is new in it."""
     if not path:
         return (), override.value
+    if isinstance(data, Unusable):  # its problem is reported, and what is in it is not known
+        return path, data
     first, rest = path[0], path[1:]
     if isinstance(data, tuple):
         if not isinstance(first, int):

@@ -16,6 +16,7 @@ from kraft.config.source import Place, Position
 from kraft.config.yaml_reader import parse_document
 from kraft.errors import Code
 from kraft.scenario import Scenario, load_scenario
+from kraft.scenario.loader import scenario_from
 
 
 def with_settings(*texts: str, scenario: str = "movable") -> Scenario:
@@ -32,6 +33,13 @@ def test_values_replace_those_of_the_file_and_missing_mappings_are_added() -> No
     assert [box.mass for box in scene.truth.movable_boxes] == [1.0, 2.0, 3.0, 1.0]
     assert (scene.goal.center, scene.goal.radius) == ((1.0, 4.0), 0.3)
     assert load_scenario("movable").sensing.noise_scale == 1.0
+
+
+def test_of_a_section_that_cannot_be_read_its_own_problem_alone_is_reported() -> None:
+    text = (ROOT / "scenarios" / "turns.yaml").read_text(encoding="utf-8").replace("sensing: ", "sensing: !mine ")
+    document = overridden(parse_document(text, "scene.yaml"), parse_overrides(["sensing.noise_scale=2"], "set"))
+    line = text[: text.index("sensing: !mine")].count("\n") + 1
+    assert located(raised(lambda: scenario_from(document, Path("scenarios")))) == [f"{line}:10 sensing syntax"]
 
 
 def test_changes_of_the_truth_are_set_and_swept(tmp_path: Path) -> None:
