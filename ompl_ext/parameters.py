@@ -33,7 +33,7 @@ class Parameter:
             ValueError: the value is of another type or outside the bounds.
         """
         kind = type(self.default)
-        words = {"true": 1.0, "false": 0.0}
+        words = {"true": 1.0, "false": 0.0} if kind is bool else {}
         try:
             number = words[str(text).lower()] if str(text).lower() in words else float(text)
         except (TypeError, ValueError):

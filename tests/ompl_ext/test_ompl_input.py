@@ -267,6 +267,15 @@ def test_what_is_no_path_and_no_tree_is_not_retained() -> None:
             planner.retain_tree(given)
 
 
+def test_a_truth_value_is_no_number() -> None:
+    params = DIRT(point(), pruning="true").params()
+    assert params["pruning"] is True
+    assert not params.setParam("goal_bias", "true")
+    with pytest.raises(ValueError, match="goal_bias is 'True'; expected a number"):
+        params["goal_bias"] = True
+    assert params["goal_bias"] == 0.05
+
+
 @pytest.mark.parametrize(("longest", "steps"), [(0.05, 1), (0.25, 3), (1.0, 10)])
 def test_the_longest_edge_has_the_steps_that_are_checked(longest: float, steps: int) -> None:
     settings = Settings(shortest=0.05, longest=longest, quantum=0.1)
