@@ -6,12 +6,12 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -60,6 +60,8 @@ POSES: Final = "poses"
 SEARCH: Final = "search"
 """Files that mark what is compiled."""
 OPTIONAL: Final = {"rollouts": "the rollouts", "sst": "the planner sst"}
+Parts: TypeAlias = dict[tuple[str, str], Callable[[], object]]
+"""Functions that compile a part each, by its name and the hash of its vehicle: two vehicles may have one name."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ def ensure_compiled(
 
 def ensure_all_compiled(needs: Iterable[Needs], report: MessageSink) -> None:
     """Compile what is needed of several vehicles and is not cached, which is reported as one compilation."""
-    parts: dict[str, Callable[[], object]] = {}
+    parts: Parts = {}
     with_planner = not is_marked(_marker(SEARCH))  # it is compiled with the first vehicle that is not cached
     for each in needs:
         parts.update(_missing(each, with_planner))
@@ -123,25 +125,25 @@ def ensure_checks_compiled(task: Task, vehicle: Vehicle, report: MessageSink) ->
 
     What is cached is not compiled again; `report` gets progress messages.
     """
-    parts: dict[str, Callable[[], object]] = {}
+    parts: Parts = {}
     if not is_marked(_marker(MAPS)):
-        parts[MAPS_PART] = compile_maps
+        parts[MAPS_PART, ""] = compile_maps
     if needs_motions(task) and not is_model_cached(vehicle):
-        parts[f"the model of {vehicle.name}"] = partial(model_step, vehicle)
+        parts[f"the model of {vehicle.name}", vehicle.hash] = partial(model_step, vehicle)
     _compile(parts, report)
 
 
-def _compile(parts: Mapping[str, Callable[[], object]], report: MessageSink) -> None:
-    """Compile parts by name; `report` gets what is compiled, for how long, and each part that is done."""
+def _compile(parts: Parts, report: MessageSink) -> None:
+    """Compile parts; `report` gets what is compiled, for how long, and each part that is done."""
     if not parts:
         return
     # no closer estimate: what else the machine does makes it three times as long
     once = "for this machine, once: up to a minute, or some minutes if the machine is busy"
-    several = len(parts) > 1
-    what = f"{len(parts)} parts {once}: {'; '.join(parts)}" if several else f"{next(iter(parts))} {once}"
+    names, several = [name for name, _ in parts], len(parts) > 1
+    what = f"{len(parts)} parts {once}: {'; '.join(names)}" if several else f"{names[0]} {once}"
     report(f"compiling {what} ...")
     began = time.perf_counter()
-    for number, (name, compile_part) in enumerate(parts.items(), 1):
+    for number, ((name, _), compile_part) in enumerate(parts.items(), 1):
         took, part = time.perf_counter() - began, f"{name} ({number} of {len(parts)})" if several else name
         with interrupts_between_passes(), elapsed_time(report, f"compiling {part}", before=took):
             compile_part()
@@ -150,29 +152,29 @@ def _compile(parts: Mapping[str, Callable[[], object]], report: MessageSink) -> 
     report(f"compiled in {time.perf_counter() - began:.0f} s; kept in {where_kept()}")
 
 
-def _missing(needs: Needs, with_planner: bool) -> dict[str, Callable[[], object]]:
-    """Which parts that are needed are not cached, by name, each with the function that compiles it.
+def _missing(needs: Needs, with_planner: bool) -> Parts:
+    """Which parts that are needed are not cached.
 
     `with_planner` is whether the planner itself is compiled with the vehicle's model.
     """
-    vehicle = needs.vehicle
-    parts: dict[str, Callable[[], object]] = {}
+    vehicle, code = needs.vehicle, needs.vehicle.hash
+    parts: Parts = {}
     if not is_cached(vehicle):
         planner = "the planner and " if with_planner else ""
-        parts[f"{planner}the model of {vehicle.name}"] = partial(_exercise, vehicle)
+        parts[f"{planner}the model of {vehicle.name}", code] = partial(_exercise, vehicle)
     elif not is_marked(_marker(MAPS)):  # otherwise compiled with the planner
-        parts[MAPS_PART] = compile_maps
+        parts[MAPS_PART, ""] = compile_maps
     if needs.steps and not are_steps_cached(vehicle):
-        parts[f"the steps of the model of {vehicle.name}"] = partial(step_kernels, vehicle)
+        parts[f"the steps of the model of {vehicle.name}", code] = partial(step_kernels, vehicle)
     if needs.steps and not _is_identification_cached():
-        parts["the identification and the pose filter"] = partial(_compile_identification, vehicle)
+        parts["the identification and the pose filter", ""] = partial(_compile_identification, vehicle)
     if needs.polish and not is_polish_cached(vehicle):
-        parts[f"the local optimisation for {vehicle.name}"] = partial(polish_kernels, vehicle)
+        parts[f"the local optimisation for {vehicle.name}", code] = partial(polish_kernels, vehicle)
     for name in needs.modules:
         if not is_module_cached(vehicle, name):
-            parts[f"{OPTIONAL[name]} for {vehicle.name}"] = partial(optional_module, vehicle, name)
+            parts[f"{OPTIONAL[name]} for {vehicle.name}", code] = partial(optional_module, vehicle, name)
     if needs.poses and not is_marked(_marker(POSES)):
-        parts["the cost-to-go of poses"] = compile_poses
+        parts["the cost-to-go of poses", ""] = compile_poses
     return parts
 
 
