@@ -113,7 +113,7 @@ DIRT_PARAMETERS = (
         0,
         100,
         "0.:.25:2.",
-        "share of sampled controls moved onto a bound, per bound",
+        "how far sampled controls go beyond each bound, onto which they are moved, as a share of the range",
     ),
     Parameter("max_nodes", MAX_NODES, 100, 100_000_000, "100000:100000:10000000", "nodes that memory may grow to"),
     Parameter("polish", False, 0, 1, "0,1", "improve the best plan by local optimisation (compiled only)"),
