@@ -424,7 +424,7 @@ def swept_margin(
     The body moves `along` its axis, sideways, and turns.  In a motion along its axis by no more than its length it
     stays inside the union of its two end positions.  `off` bounds all other motion; it moves the corners out of that
     union by at most off (along + off) / (along + 2 off).  This holds for constant rates; docs/planner.md has the
-    derivation, `lanes.step_margin` adds the effect of changing rates.
+    derivation, `checks.step_margin` adds the effect of changing rates.
     """
     side0 = abs(dy * c0 - dx * s0)
     side1 = abs(dy * c1 - dx * s1)
