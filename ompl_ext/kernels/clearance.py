@@ -374,8 +374,9 @@ def tight_clearance(problem: Problem, px: float, py: float, c: float, s: float) 
             continue
         x = px + discs[i, 0] * c - discs[i, 1] * s
         y = py + discs[i, 0] * s + discs[i, 1] * c
-        row = int(min(max((y - scalar[GRID_Y]) * scalar[GRID_INVERSE], 0.0), last_row))
-        column = int(min(max((x - scalar[GRID_X]) * scalar[GRID_INVERSE], 0.0), last_column))
+        # in this order a place that is not a number counts as the corner, and not as one outside the memory
+        row = int(min(max(0.0, (y - scalar[GRID_Y]) * scalar[GRID_INVERSE]), last_row))
+        column = int(min(max(0.0, (x - scalar[GRID_X]) * scalar[GRID_INVERSE]), last_column))
         value = float(field[row, column])
         if scalar[FINE_INVERSE] > 0.0:
             value = max(value, fine_distance_anywhere(problem, x, y))

@@ -303,10 +303,13 @@ def seconds_to_goal(problem: Problem, x: float, y: float) -> float:
 
 @inlined
 def value_anywhere(grid: Matrix32, scalar: Floats, x: float, y: float) -> float:
-    """Bilinear interpolation of cost-to-go or clearance field at (x, y); beyond the border that of the border."""
+    """Bilinear interpolation of cost-to-go or clearance field at (x, y); beyond the border that of the border.
+
+    A place that is not a number counts as the corner.
+    """
     u = (x - scalar[GRID_X]) * scalar[GRID_INVERSE] - 0.5
     v = (y - scalar[GRID_Y]) * scalar[GRID_INVERSE] - 0.5
-    u, v = min(max(u, 0.0), grid.shape[1] - 2.0), min(max(v, 0.0), grid.shape[0] - 2.0)
+    u, v = min(max(0.0, u), grid.shape[1] - 2.0), min(max(0.0, v), grid.shape[0] - 2.0)
     return _between(grid, u, v)
 
 

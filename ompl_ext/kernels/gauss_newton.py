@@ -121,8 +121,9 @@ def distance(problem: Problem, signed: Matrix32, x: float, y: float) -> float:
     """Distance of a point to the obstacles (m), negative inside them: interpolated, and the fine one where stored."""
     scalar = problem.scalar
     rows, columns = signed.shape
-    u = min(max((x - scalar[GRID_X]) * scalar[GRID_INVERSE] - 0.5, 0.0), columns - 1.001)
-    v = min(max((y - scalar[GRID_Y]) * scalar[GRID_INVERSE] - 0.5, 0.0), rows - 1.001)
+    # in this order a state that is not a number, as after a step that is too large, is not looked up outside the memory
+    u = min(max(0.0, (x - scalar[GRID_X]) * scalar[GRID_INVERSE] - 0.5), columns - 1.001)
+    v = min(max(0.0, (y - scalar[GRID_Y]) * scalar[GRID_INVERSE] - 0.5), rows - 1.001)
     column, row = int(u), int(v)
     u, v = u - column, v - row
     low = signed[row, column] * (1.0 - u) + signed[row, column + 1] * u

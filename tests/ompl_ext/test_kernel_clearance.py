@@ -21,7 +21,8 @@ from support.kernels import (
 
 from ompl_ext.exact import ExactClearance
 from ompl_ext.kernels import kernel_types as at
-from ompl_ext.kernels.clearance import clearance_field, cover
+from ompl_ext.kernels.clearance import clearance_field, cover, tight_clearance
+from ompl_ext.kernels.costtogo import value_anywhere
 from ompl_ext.obstacles import Circle, Obstacle, OccupancyGrid, Polygon, Workspace, box
 from ompl_ext.query import Safety, Settings
 from ompl_ext.solver import DirtSolver
@@ -364,3 +365,15 @@ def test_the_least_slack_of_motions_is_the_smallest_of_their_states(seed: int) -
     slacks = dirt.clearances(states[:, :3]) - safety.clearance(states[:, 3], since)
     expected = [each.min() for each in np.split(slacks, ends[:-1])]
     np.testing.assert_array_equal(dirt.least_slacks(states, since, ends), expected)
+
+
+@pytest.mark.parametrize("pose", [(math.nan, 1.5, 1.0, 0.0), (1.5, 1.5, math.nan, math.nan)])
+def test_a_place_that_is_not_a_number_is_looked_up_in_the_corner_and_not_beyond_the_memory(
+    pose: tuple[float, float, float, float],
+) -> None:
+    scalar, field = np.zeros(at.SCALARS), np.full((4, 5), 0.25, np.float32)
+    scalar[[at.GRID_INVERSE, at.REACH]], field[:, 0] = (1.0, 1.0), -0.25
+    disc, no_tile, no_squares = np.array([[0.0, 0.0, 0.5, 0.0]]), np.full((1, 1), -1, np.int32), np.zeros((1, 1))
+    maps = at.Maps(disc, field, no_tile, no_squares.astype(np.uint16), scalar)
+    assert tight_clearance(maps, *pose) == -0.75  # type: ignore[arg-type]
+    assert value_anywhere(field, scalar, math.nan, 1.5) == -0.25
