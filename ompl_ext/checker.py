@@ -106,7 +106,13 @@ class EdgeChecker:
         """Trajectory (steps + 1, nx) of one edge and its slack (m), negative if it may collide.
 
         The edge begins at `start_time` s; before the end of the cycle it must also keep delta(v).
+
+        Raises:
+            ValueError: state or control have another number of values, or the edge is longer than the longest one.
         """
+        for what, values, names in (("state", state, self.vehicle.state), ("control", control, self.vehicle.controls)):
+            if len(values) != len(names):  # the kernel would take those that are missing from an earlier edge
+                raise ValueError(f"the {what} has {len(values)} values; expected {len(names)}: {', '.join(names)}")
         slack = self._propagate(np.asarray(state, dtype=float), control, duration, start_time)
         work, nx = self._memory.work, len(self.vehicle.state)
         steps = int(work.steps[0])

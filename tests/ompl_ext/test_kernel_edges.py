@@ -112,6 +112,14 @@ def test_an_edge_with_more_steps_than_memory_is_refused() -> None:
         dirt.edge(START, np.array([1.0, 0.2]), 2.0)
 
 
+def test_an_edge_of_another_number_of_values_is_refused() -> None:
+    dirt = wide(BENCHMARK, 10)
+    with pytest.raises(ValueError, match="the control has 1 values; expected 2: throttle, steering"):
+        dirt.edge(START, np.array([1.0]), 0.5)
+    with pytest.raises(ValueError, match="the state has 1 values; expected 4: x, y, theta, v"):
+        dirt.edge(START[:1], np.array([1.0, 0.2]), 0.5)
+
+
 @pytest.mark.parametrize("blossom", [1, 2, 3, 5, 16, 31, 32])
 def test_a_lane_does_not_feel_its_neighbours(blossom: int) -> None:
     dirt = turns(settings=Settings(blossom=blossom))
