@@ -27,7 +27,7 @@ def check_plane(bounds: Bounds) -> None:
 
 
 def default_configuration(space: ob.StateSpace) -> tuple[Configuration, Bounds]:
-    """First two components of a real-vector space, x and y of SE(2), or those of a compound's first such subspace.
+    """First two components of a real-vector space, x and y of SE(2) and SE(3), or of a compound's first such subspace.
 
     Raises:
         TypeError: there is no such subspace; pass a configuration to the planner.
@@ -37,7 +37,7 @@ def default_configuration(space: ob.StateSpace) -> tuple[Configuration, Bounds]:
         if space.getDimension() == 1:
             return (lambda state: (state[0], 0.0)), ((box.low[0], box.high[0]), (-1.0, 1.0))
         return (lambda state: (state[0], state[1])), ((box.low[0], box.high[0]), (box.low[1], box.high[1]))
-    if isinstance(space, ob.SE2StateSpace):
+    if isinstance(space, (ob.SE2StateSpace, ob.SE3StateSpace)):
         box = space.getBounds()
         return (lambda state: (state.getX(), state.getY())), (
             (box.low[0], box.high[0]),
@@ -64,7 +64,9 @@ def goal_configuration(goal: ob.Goal, configuration: Configuration) -> tuple[flo
 
 
 def state_reader(space: ob.StateSpace) -> Callable[[ob.State], list[float]]:
-    """Function from a state to its components, for real vectors, SE(2), SO(2) and compounds of them.
+    """Function from a state to its components, for real vectors, SE(2), SE(3), SO(2), SO(3) and compounds of them.
+
+    Those of a rotation in space are x, y, z and w of its quaternion.
 
     Raises:
         TypeError: the space is of another kind.
@@ -76,6 +78,11 @@ def state_reader(space: ob.StateSpace) -> Callable[[ob.State], list[float]]:
         return lambda state: [state.getX(), state.getY(), state.getYaw()]
     if isinstance(space, ob.SO2StateSpace):
         return lambda state: [state.value]
+    if isinstance(space, ob.SO3StateSpace):
+        return lambda state: [state.x, state.y, state.z, state.w]
+    if isinstance(space, ob.SE3StateSpace):
+        rotation = state_reader(ob.SO3StateSpace())
+        return lambda state: [state.getX(), state.getY(), state.getZ(), *rotation(state.rotation())]
     if isinstance(space, ob.CompoundStateSpace):
         readers = [state_reader(space.getSubspace(k)) for k in range(space.getSubspaceCount())]
         return lambda state: [value for k, read in enumerate(readers) for value in read(state[k])]

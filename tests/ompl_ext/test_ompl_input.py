@@ -20,6 +20,7 @@ from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.mushr import MUSHR
 from ompl_ext import planner as module
 from ompl_ext.callback import CallbackSearch
+from ompl_ext.configuration import default_configuration, state_reader
 from ompl_ext.kernels import kernel_types as at
 from ompl_ext.obstacles import Circle, OccupancyGrid, Polygon, Workspace, box
 from ompl_ext.plan import TreeView
@@ -265,6 +266,17 @@ def test_what_is_no_path_and_no_tree_is_not_retained() -> None:
             planner.retain(given, 1.0)
         with pytest.raises(TypeError, match=r"expected what tree\(\) of a planner returns"):
             planner.retain_tree(given)
+
+
+def test_a_body_in_space_has_the_plane_of_its_position() -> None:
+    space = ob.SE3StateSpace()
+    space.setBounds(pairs((0.0, 4.0), (-1.0, 1.0), (0.0, 2.0)))
+    state = space.allocState()
+    state.setXYZ(0.5, 0.25, 1.0)
+    state.rotation().setAxisAngle(0.0, 0.0, 1.0, math.pi)
+    configuration, bounds = default_configuration(space)
+    assert (configuration(state), bounds) == ((0.5, 0.25), ((0.0, 4.0), (-1.0, 1.0)))
+    assert state_reader(space)(state) == pytest.approx([0.5, 0.25, 1.0, 0.0, 0.0, 1.0, 0.0])
 
 
 def test_a_truth_value_is_no_number() -> None:
