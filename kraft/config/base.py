@@ -69,8 +69,8 @@ class BasedFiles(Generic[Model]):
         value, problems = check(self.model, together)
         if base.problems:
             known = {(each.path, each.problem) for each in base.problems}
-            problems = [*base.problems, *(each for each in problems if (each.path, each.problem) not in known)]
-            return _Read(together, None, problems)
+            others = [each for each in problems if each.path in self.own or (each.path, each.problem) not in known]
+            return _Read(together, None, [*base.problems, *others])
         return _Read(together, value, [_of_file(each, document.source) for each in problems])
 
     def _without_base(self, document: Document) -> list[Diagnostic]:

@@ -112,6 +112,12 @@ def test_problems_of_file_and_base_are_reported_at_their_own_places(tmp_path: Pa
     ]  # fmt: skip
 
 
+def test_a_key_that_a_file_does_not_take_from_its_base_is_missed_in_both(tmp_path: Path) -> None:
+    written(tmp_path, "name: first\nbase: kraft\n", "first")
+    path = written(tmp_path, "name: mine\nbase: first.yaml\n")
+    assert problems_of(path) == [("first.yaml", 1, 1, "title"), ("mine.yaml", 1, 1, "title")]
+
+
 def test_what_does_not_fit_to_a_valid_base_is_reported_in_the_file(tmp_path: Path) -> None:
     path = written(tmp_path, "base: adaptive-kraft\nplanner: {safety: {delta: 0.1}, lead: 0.3}\n")
     with pytest.raises(InputError) as caught:
