@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from kraft.config import bundled
 from kraft.config.document import Document, frozen
@@ -27,6 +27,8 @@ from kraft.vehicles.identification_record import SpeedPrediction
 from kraft.vehicles.reference import VehicleProblem, reference_of, resolve_vehicle
 from kraft.vehicles.true_robot import CarDimensions, RobotTruth, with_files
 from ompl_ext.vehicle import Footprint, OpenLoopErrors, Vehicle
+
+SPEED_UNIT: Final = "m/s"
 
 
 def load_vehicle(
@@ -271,6 +273,9 @@ def fit_problems(model: Vehicle, reference: str, content: Mapping[str, object], 
     speed = content.get("top_speed")
     if isinstance(speed, str) and speed not in model.parameters:
         problems.append(source.diagnostic("top_speed", f"is the text {speed!r}", SPEED_EXPECTED, code=Code.UNKNOWN))
+    elif isinstance(speed, str) and units.get(speed, SPEED_UNIT) != SPEED_UNIT:
+        problem = f"is the parameter {speed}, in {units[speed]}"
+        problems.append(source.diagnostic("top_speed", problem, SPEED_EXPECTED, code=Code.MISMATCH))
     return problems
 
 

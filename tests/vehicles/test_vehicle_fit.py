@@ -41,6 +41,12 @@ def test_a_unit_that_is_not_that_of_the_model_is_refused_at_its_place(tmp_path: 
     assert "'m'" in found.expected
 
 
+def test_a_top_speed_is_no_parameter_in_another_unit(tmp_path: Path) -> None:
+    (found,) = raised(lambda: load_vehicle(car(tmp_path, ("top_speed: v_delta", "top_speed: phi_diff"))))
+    assert (found.line, found.path, found.code) == (6, "top_speed", Code.MISMATCH)
+    assert found.problem == "is the parameter phi_diff, in rad"
+
+
 def test_code_of_ones_own_states_no_units() -> None:
     assert units_of("my_robots.car:CAR") == {}
     assert units_of("kraft.vehicles.mushr:MUSHR") == {"L": "m", "phi_diff": "rad", "v_delta": "m/s"}
