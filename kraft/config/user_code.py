@@ -91,6 +91,9 @@ def _import_file(file: Path, subject: str, expected: str) -> ModuleType:
     except (Exception, SystemExit) as error:  # a user's file may raise anything
         del sys.modules[name]
         raise import_error(error, subject, expected) from error
+    except BaseException:  # of an interrupt, too, no part of the module is left
+        del sys.modules[name]
+        raise
     return module
 
 

@@ -134,6 +134,14 @@ def test_a_vehicle_file_can_import_its_neighbour(folder: Path) -> None:
     assert load_vehicle("neighbourly.py").top_speed == 1.5
 
 
+def test_an_import_that_is_interrupted_is_begun_again(tmp_path: Path) -> None:
+    first = "from pathlib import Path\nif not (mark := Path(__file__).with_name('mark')).exists():\n"
+    (tmp_path / "car.py").write_text(f"{first}    mark.touch()\n    raise KeyboardInterrupt\nNAME = 'car'\n")
+    with pytest.raises(KeyboardInterrupt):
+        imported(f"{tmp_path / 'car.py'}", "car.py", "expected a car")
+    assert imported(f"{tmp_path / 'car.py'}", "car.py", "expected a car")[0].NAME == "car"
+
+
 @pytest.mark.parametrize(
     ("reference", "expected"),
     [
