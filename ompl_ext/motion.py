@@ -28,7 +28,7 @@ _cache: OrderedDict[tuple[object, ...], Motion] = OrderedDict()
 
 @dataclass(frozen=True)
 class Motion:
-    """What was seen in motions from standstill, within the vehicle's limits.
+    """What was seen in motions from standstill, or as near to it as possible, within the vehicle's limits.
 
     `low`, `high`, `rate` (nx,): smallest and largest value and largest rate of each state component.  `twists` (n, 3)
     are velocities ahead and to the left (m/s) and turning rates (rad/s), relative to the body, `states` (n, nx) and
@@ -149,14 +149,14 @@ def _random_control(bounds: Matrix, random: np.random.Generator) -> Floats:
 
 
 def _rollout(vehicle: Vehicle, controls: list[Floats], steps: int) -> tuple[Matrix, Matrix, Matrix]:
-    """States (n, nx) before and after each step, from standstill, and controls (n, nu).
+    """States (n, nx) before and after each step, and controls (n, nu).
 
-    A step that leaves the limits is not made.
+    The motion begins at standstill, or as near to it as the limits allow.  A step that leaves them is not made.
     """
     advance, parameters, limits = model_step(vehicle), vehicle.parameter_array, vehicle.state_limits
     for name in ("x", "y"):
         limits[vehicle.index(name)] = -math.inf, math.inf
-    state, before, after, held = np.zeros(len(vehicle.state)), [], [], []
+    state, before, after, held = np.clip(np.zeros(len(vehicle.state)), *limits.T), [], [], []
     bounded = np.flatnonzero(np.isfinite(limits).any(axis=1))
     low, high = limits[bounded].T
     for control in map(np.ascontiguousarray, controls):
