@@ -148,7 +148,7 @@ def test_the_goal_counts_as_reached_while_the_planner_gets_ready_for_a_map_but_n
     goal: tuple[float, float] | None, counts: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of a robot that sends maps often it nearly always does."""
-    control, tracker, _guard = control_and_guard()
+    control, _tracker, _guard = control_and_guard()
     ended = list[str]()
     monkeypatch.setattr(control, "_end", lambda _, outcome, __: ended.append(outcome))
     monkeypatch.setattr(control, "_mailbox", SimpleNamespace(closed=False, send=lambda _: None))
