@@ -137,7 +137,7 @@ def command(found: Results) -> str:
         tuple(arguments.get("settings") or ()),
         tuple(arguments.get("vary") or ()),
         arguments.get("trials"),
-        ",".join(arguments.get("methods") or ()) or None,
+        ",".join(map(_short, arguments.get("methods") or ())) or None,
         _short(arguments["vehicle"]) if arguments.get("vehicle") else None,
         arguments.get("seed"),
         realtime=bool(arguments.get("realtime")),

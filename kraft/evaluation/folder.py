@@ -81,9 +81,10 @@ def reopen(path: Path, experiment: Experiment, arguments: Mapping[str, Any]) -> 
         grown = check_continues(path / MANIFEST, was, now)  # again: another process may have replaced it
         rows = read_journal(file, {job.key for job in experiment.jobs()})
         finished = _finished(rows)
-        wall = wall_of(recorded_wall(path), finished.values())
-        if grown:
+        wall = wall_of(recorded_wall(path), rows.values())
+        if grown or len(finished) < len(rows):
             _remove_results(path, experiment)
+        if grown:
             was = grown_manifest(was, now)
             write_json(path / MANIFEST, was)
     except BaseException:

@@ -33,6 +33,15 @@ DEFECT: Final = "defect in kraft"
 """Causes of a failed trial, which ended by an error instead of an outcome."""
 
 
+def reason_of_failures(failed: int, defects: int) -> str:
+    """Why trials have failed, as a relative clause; `defects` of the `failed` ones failed by a defect in kraft."""
+    own = "because of an error in the user's own code"
+    if defects == 0:
+        return own
+    defect = "which is a defect in kraft"
+    return defect if defects == failed else f"{failed - defects} {own}, and {defects} by a defect in kraft"
+
+
 class Measured(Record):
     """Measured times, the only part of a row that differs between repetitions.
 

@@ -128,6 +128,7 @@ def eval_(
 
 
 def _print_results(terminal: Terminal, evaluation: Evaluation, json: bool) -> ExitStatus:
+    from kraft.evaluation.journal import reason_of_failures
     from kraft.evaluation.summary import SCHEMA, evaluation_json
     from kraft.text import counted
     from kraft_cli.tables import show_tables, show_unsuccessful
@@ -147,8 +148,8 @@ def _print_results(terminal: Terminal, evaluation: Evaluation, json: bool) -> Ex
         terminal.problem(f"{row.key[0]}, {row.method}, seed {row.seed}: failed: {row.error}")
     if not failed:
         return ExitStatus.DONE
-    defects = any(row.is_defect for row in failed)
-    own = "because of an error in the user's own code; mend it, and evaluate it in another folder"
-    why = "which is a defect in kraft" if defects else own
-    terminal.error(f"{len(failed)} of {counted(len(evaluation.rows), 'trial')} failed, {why}")
+    defects = sum(row.is_defect for row in failed)
+    why = reason_of_failures(len(failed), defects)
+    way_on = "; mend it, and evaluate it in another folder" if defects < len(failed) else ""
+    terminal.error(f"{len(failed)} of {counted(len(evaluation.rows), 'trial')} failed, {why}{way_on}")
     return ExitStatus.INTERNAL if defects else ExitStatus.INVALID

@@ -103,9 +103,6 @@ def drive_robot(request: DriveRequest, report: MessageSink, problem: MessageSink
         detail(line)
     ensure_all_compiled([needs_of(spec.method, spec.vehicle, spec.task.goal)], report)
     check_reachable(spec.task, spec.vehicle)
-    if out is not None:
-        out.mkdir(parents=True)
-        write_json(out / MANIFEST, _manifest(request, spec))
     on_check = partial(_report_checks, report=report, problem=problem)
     newest: list[Status] = []
 
@@ -116,6 +113,9 @@ def drive_robot(request: DriveRequest, report: MessageSink, problem: MessageSink
             newest[:] = [status]
 
     try:
+        if out is not None:
+            out.mkdir(parents=True)
+            write_json(out / MANIFEST, _manifest(request, spec))
         with Display(spec, bag) as display:
 
             def on_cycle(cycle: Cycle) -> None:
@@ -158,9 +158,9 @@ def _abandoned(driven: Driven, problem: MessageSink) -> None:
 
 
 def _remove_undriven(out: Path) -> None:
-    """Remove the folder of a drive that has not begun."""
-    if [path.name for path in out.iterdir()] == [MANIFEST]:
-        (out / MANIFEST).unlink()
+    """Remove the folder of a drive that has not begun, which is empty if the manifest could not be written."""
+    if out.is_dir() and all(path.name == MANIFEST for path in out.iterdir()):
+        (out / MANIFEST).unlink(missing_ok=True)
         out.rmdir()
 
 

@@ -106,18 +106,20 @@ def run_scenario(
             outputs.on_cycle(cycle)
 
         result = run_trial(spec, told, outputs.on_step, keep_trees=outputs.keep_trees)
+        timer.report(f"{result.time:.2f} s driven")
+        run = Run(request, spec, cell.entry.settings, result, warnings)
+        if request.out is not None:  # first: a picture that cannot be written does not cost the results
+            arguments = {
+                "scenario": request.scenario,
+                "method": request.method,
+                "vehicle": request.vehicle,
+                "set": list(request.settings),
+            }
+            write_run(request.out, experiment, arguments, cell.vehicle, run.result, run_json(run))
+            timer.report("written")
         outputs.finish(result, report)
-    timer.report(f"{result.time:.2f} s driven" + (", drawn" if request.outputs != NO_OUTPUT else ""))
-    run = Run(request, spec, cell.entry.settings, result, warnings)
-    if request.out is not None:
-        arguments = {
-            "scenario": request.scenario,
-            "method": request.method,
-            "vehicle": request.vehicle,
-            "set": list(request.settings),
-        }
-        write_run(request.out, experiment, arguments, cell.vehicle, run.result, run_json(run))
-        timer.report("written")
+    if request.outputs != NO_OUTPUT:
+        timer.report("drawn")
     return run
 
 

@@ -103,8 +103,8 @@ def run_sysid(
     result = SysidResult(
         request, base, logs, fit.split, identification, fit.evaluation, found, fit.seconds, fit.units, fit.left_out
     )
+    _write(result)  # first: a plot that cannot be written does not cost the vehicle file
     _draw(result)
-    _write(result)
     return result if request.next is None else _with_next_drives(result, request.next, settings, info)
 
 

@@ -293,3 +293,15 @@ def test_a_car_that_leaves_the_bounds_is_said_to(short: Path, capsys: pytest.Cap
         assert outside_bounds(scenario, vehicle.footprint, result) == pytest.approx(outside)  # type: ignore[arg-type]
     assert main(["run", "short.yaml", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["outside_m"] == 0.0
+
+
+def test_a_picture_that_cannot_be_written_does_not_cost_the_results(
+    short: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise InputError.of("my.png", "cannot be written: No space left on device", "expected enough space")
+
+    monkeypatch.setattr("kraft_cli.work.trial_outputs.TrialOutputs.finish", full)
+    assert main(["run", str(short), "--method", "oneshot-openloop", "--plot", "my.png", "--out", "out"]) == 2
+    assert "my.png: cannot be written" in capsys.readouterr().err
+    assert json.loads(Path("out/result.json").read_text())["schema"] == "kraft.run/1"

@@ -158,6 +158,8 @@ def test_a_sweep_has_the_values_of_a_list() -> None:
     ((first, second), cameras) = parse_sweeps(["sensing.rate_hz=5, 30", "sensing.camera=[1,3,5],[1,3,6]"], "vary")
     assert (first.key, first.value, second.value) == ("sensing.rate_hz", 5, 30)
     assert [each.value for each in cameras] == [(1, 3, 5), (1, 3, 6)]
+    ((third, fourth),) = parse_sweeps(["sensing.flag=true,1"], "vary")  # which are equal in Python
+    assert (third.value, fourth.value) == (True, 1)
 
 
 @pytest.mark.parametrize(

@@ -150,10 +150,12 @@ def test_a_finished_evaluation_keeps_the_time_that_it_took(tmp_path: Path) -> No
     assert json.loads((tmp_path / "out/summary.json").read_text())["wall_s"] >= took - 1e-3
 
 
-def test_the_time_that_an_evaluation_took_is_that_of_all_its_commands(tmp_path: Path) -> None:
+@pytest.mark.parametrize("last", [{}, {"outcome": "failed", "error": "ValueError: no way"}])
+def test_the_time_that_an_evaluation_took_is_that_of_all_its_commands(last: dict[str, str], tmp_path: Path) -> None:
     run(tmp_path / "out", observer=StoppingObserver(4))
     rows = tmp_path / "out" / "trials.jsonl"
     lines = [json.loads(line) for line in rows.read_text().splitlines()]
+    lines[-1] |= last
     lines[-1]["measured"]["elapsed_s"] = 1000.0
     rows.write_text("".join(json.dumps(line) + "\n" for line in lines))
     assert run(tmp_path / "out", resume=True).summary.wall > 1000.0
@@ -340,6 +342,8 @@ def test_failed_trials_are_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert broken.summary.failed == len(broken.rows) == 12
     observer = StoppingObserver(2)
     assert not run(tmp_path / "out", resume=True, observer=observer).complete
+    left = {path.name for path in (tmp_path / "out").iterdir()}
+    assert left == {"manifest.json", "trials.jsonl", "replays.jsonl"}, "results of before have trials that are gone"
     observer.after = 100
     mended = run(tmp_path / "out", resume=True, observer=observer)
     assert len({row.key for row in observer.rows}) == len(observer.rows) == 12

@@ -22,6 +22,7 @@ from support.paths import ROOT
 from kraft.config.user_code import imported
 from kraft.errors import Code, InputError, UserCodeError
 from kraft.evaluation import Evaluation, evaluate
+from kraft.evaluation.journal import reason_of_failures
 from kraft.evaluation.report import Results, page, read_results, write_report
 from kraft.evaluation.report.elements import document, element, script_data
 from kraft.evaluation.report.entry import floor_plan
@@ -169,6 +170,18 @@ def test_a_page_of_an_evaluation_that_was_stopped_says_what_is_missing(capsys: p
     assert "8 of 12 trials not run yet: this page is of those that were." in text_of(tags)
     assert tags.classes("rect")["missing"] == 2  # of the row that has begun
     assert text_of(tags).count("Not run yet: ") == 1  # both rows of the second entry
+
+
+@pytest.mark.parametrize(
+    ("failed", "defects", "reason"),
+    [
+        (2, 2, "which is a defect in kraft"),
+        (2, 0, "because of an error in the user's own code"),
+        (10, 1, "9 because of an error in the user's own code, and 1 by a defect in kraft"),
+    ],
+)
+def test_failures_of_both_kinds_are_counted_apart(failed: int, defects: int, reason: str) -> None:
+    assert reason_of_failures(failed, defects) == reason
 
 
 def test_failed_trials_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:

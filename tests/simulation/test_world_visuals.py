@@ -49,9 +49,9 @@ def test_visual_geoms_stay_within_the_car() -> None:
     world = World(load_scenario("turns"))
     model, data = world.model, world.data
     at = np.array([1.0, -0.5, 0.0])
-    for geom in np.flatnonzero(
-        (model.body_rootid[model.geom_bodyid] == model.body("car").id) & (model.geom_group == 2)
-    ):
+    visual = (model.body_rootid[model.geom_bodyid] == model.body("car").id) & (model.geom_group == 2)
+    assert (model.geom_dataid[visual] >= 0).any()
+    for geom in np.flatnonzero(visual):
         mesh = model.geom_dataid[geom]
         if mesh < 0:
             continue

@@ -13,7 +13,7 @@ from urllib.parse import quote
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from kraft.evaluation.journal import TrialRow, success_times
+from kraft.evaluation.journal import TrialRow, reason_of_failures, success_times
 from kraft.evaluation.paper import PaperRow
 from kraft.evaluation.report.elements import NO_VALUE, Content, document, element, hint, outcome_legend, stacked
 from kraft.evaluation.report.entry import (
@@ -87,9 +87,8 @@ def _head(results: Results) -> Iterator[Content]:
         yield element("p", text, class_="alarm")
     failed = results.summary.failed
     if failed:
-        defects = any(row.is_defect for row in results.rows.values())
-        why = "which is a defect in kraft" if defects else "because of an error in the user's own code"
-        text = f"{counted(failed, 'trial')} failed, {why}: none counts as a success."
+        defects = sum(row.is_defect for row in results.rows.values())
+        text = f"{counted(failed, 'trial')} failed, {reason_of_failures(failed, defects)}: none counts as a success."
         yield element("p", text, class_="alarm")
     for text in results.manifest.warnings:
         yield element("p", element("b", "Warning: "), text, class_="alarm warning")

@@ -23,8 +23,9 @@ class Plot {
   constructor(drive, title, unit, lines, low = null) {
     Object.assign(this, { drive, title, unit, lines });
     const all = lines.flatMap((line) => line.values).filter((value) => value !== null);
-    this.low = low ?? Math.min(0, ...all);
-    this.high = Math.max(this.low + 1e-3, ...all);
+    const most = (a, b) => Math.max(a, b), least = (a, b) => Math.min(a, b); // of any number: a call has a limited one
+    this.low = low ?? all.reduce(least, 0);
+    this.high = all.reduce(most, this.low + 1e-3);
     this.value = make("span", { class: "value" });
     this.svg = draw("svg", { class: "plot", role: "img", "aria-label": `${title} over time` });
     this.element = make("figure", { "aria-label": title }, make("figcaption", {}, `${title} `, this.value), this.svg);

@@ -202,8 +202,10 @@ class Stage {
   }
 
   emptyPlan() {
-    const points = this.drive.pose, xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);
-    const [x0, x1, y0, y1] = [Math.min(...xs) - 1, Math.max(...xs) + 1, Math.min(...ys) - 1, Math.max(...ys) + 1];
+    let [x0, x1, y0, y1] = [Infinity, -Infinity, Infinity, -Infinity];
+    for (const [x, y] of this.drive.pose) {
+      [x0, x1, y0, y1] = [Math.min(x0, x - 1), Math.max(x1, x + 1), Math.min(y0, y - 1), Math.max(y1, y + 1)];
+    }
     const place = `translate(${-x0} ${y1}) scale(1 -1)`;
     return draw("svg", { class: "floor", viewBox: `0 0 ${x1 - x0} ${y1 - y0}` }, draw("g", { transform: place }));
   }
@@ -271,7 +273,7 @@ class Player {
     for (const box of this.dialog.querySelectorAll("input[data-layer]")) {
       box.onchange = () => this.dialog.classList.toggle(`without-${box.dataset.layer}`, !box.checked);
     }
-    addEventListener("resize", () => { if (this.drive) this.fit(); });
+    addEventListener("resize", () => { if (this.drive && this.dialog.open) this.fit(); });
   }
 
   onKey(event, onMove) {

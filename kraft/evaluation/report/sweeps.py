@@ -216,13 +216,14 @@ DESK, TABLET, PHONE = Paper(1232.0, 6), Paper(700.0, 3), Paper(366.0, 1)
 
 @dataclass(frozen=True)
 class _Measure:
-    """Row of panels: what it shows, and its axis."""
+    """Row of panels: what it shows, and its axis with `ticks`, of which some are `labelled`."""
 
     label: str
     pick: Pick
     low: float
     high: float
     ticks: Sequence[float]
+    labelled: Sequence[float]
     text: Callable[[float], str]
     of: Callable[[SweepPoint], str]
 
@@ -284,16 +285,15 @@ def _picture(sweep: Sweep, measures: Sequence[_Measure], titles: Mapping[str, st
 def _measures(sweeps: Sequence[Sweep]) -> list[_Measure]:
     shares = (0.0, 0.25, 0.5, 0.75, 1.0)
     found = [
-        _Measure("success", lambda p: p.success, 0.0, 1.0, shares, "{:.0%}".format, _successes),
-        _Measure("collision", lambda p: p.collision, 0.0, 1.0, shares, "{:.0%}".format, _collisions),
+        _Measure("success", lambda p: p.success, 0.0, 1.0, shares, shares[::2], "{:.0%}".format, _successes),
+        _Measure("collision", lambda p: p.collision, 0.0, 1.0, shares, shares[::2], "{:.0%}".format, _collisions),
     ]
     points = [point for sweep in sweeps for panel in sweep.panels.values() for line in panel.values() for point in line]
     means = [point.time.value for point in points if point.time]
     if means:
         ticks = nice_ticks(min(means), max(means))
-        found.append(
-            _Measure("time of successes, s", lambda p: p.time, ticks[0], ticks[-1], ticks, "{:g}".format, _times)
-        )
+        labelled, name = ticks if len(ticks) <= 7 else ticks[::2], "time of successes, s"
+        found.append(_Measure(name, lambda p: p.time, ticks[0], ticks[-1], ticks, labelled, "{:g}".format, _times))
     return found
 
 
@@ -314,8 +314,7 @@ def _panel(frame: _Frame, measure: _Measure, axis: Axis, *, first: bool, last: b
     for tick in measure.ticks:
         y = frame.up(measure, tick)
         yield element("line", x1=frame.x, x2=right, y1=y, y2=y, stroke=RULE, stroke_width=1.0)
-        labelled = len(measure.ticks) <= 7 or tick in measure.ticks[::2]
-        if first and labelled and (measure.high != 1.0 or tick in (0.0, 0.5, 1.0)):
+        if first and tick in measure.labelled:
             yield _text(measure.text(tick), frame.x - 8.0, y + 4.0, anchor="end", fill=GREY)
     yield element("line", x1=frame.x, x2=right, y1=bottom, y2=bottom, stroke=GREY, stroke_width=1.0)
     until = -math.inf
