@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from kraft.driving.messages import PlanLoss
-from ompl_ext.arrays import Floats
+from ompl_ext.arrays import Floats, Matrix
 from ompl_ext.plan import Plan
 from ompl_ext.retainment import RetainableEdges, remaining_edges
 from ompl_ext.solver import DirtSolver
@@ -43,7 +43,7 @@ def has_remainder(plan: Plan, elapsed: float) -> bool:
 
 def retained_plan(dirt: DirtSolver, remainder: Remainder) -> Plan | None:
     """Plan of what was retained of a remainder; None if an edge is missing or a plan may not end there."""
-    _, _, durations = remaining_edges(remainder.plan.controls, remainder.plan.durations, remainder.elapsed)
+    _, durations = _edges(dirt, remainder)
     last = int(dirt.retained_nodes[len(durations) - 1])
     if last < 0:
         return None
@@ -89,7 +89,7 @@ def retain(dirt: DirtSolver, root: Floats, remainder: Remainder, continued: bool
     collision from the state that the plan predicted only if more distance is required now than when it was planned.
     """
     plan, elapsed, edges = remainder.plan, remainder.elapsed, remainder.edges
-    _, controls, durations = remaining_edges(plan.controls, plan.durations, elapsed)
+    controls, durations = _edges(dirt, remainder)
     if edges is None:
         dirt.retain(plan, elapsed, optimised=True)
     else:
@@ -105,6 +105,16 @@ def retain(dirt: DirtSolver, root: Floats, remainder: Remainder, continued: bool
     if PlanLoss.NONE in (from_planned, from_root):
         return PlanLoss.ESTIMATE
     return from_root
+
+
+def _edges(dirt: DirtSolver, remainder: Remainder) -> tuple[Matrix, Floats]:
+    """Controls (n, nu) and durations (n,) of the edges as which a remainder is retained.
+
+    Those that come with edges of their tree stay as they are; `DirtSolver.retain` divides longer ones than the tree's.
+    """
+    plan, longest = remainder.plan, dirt.settings.longest if remainder.edges is None else math.inf
+    _, controls, durations = remaining_edges(plan.controls, plan.durations, remainder.elapsed, longest)
+    return controls, durations
 
 
 def _first_loss(dirt: DirtSolver, state: Floats, controls: Floats, durations: Floats) -> PlanLoss:
