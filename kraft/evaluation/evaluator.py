@@ -148,9 +148,7 @@ def evaluate(
     for text in warnings:
         observer.warn(text)
     if cluster is not None and jobs is not None:
-        observer.warn(
-            f"jobs: {jobs} has no effect with a cluster, whose workers state their threads themselves"
-        )
+        observer.warn(f"jobs: {jobs} has no effect with a cluster, whose workers state their threads themselves")
     _ensure_compiled(experiment, observer.log)
     experiment = replace(experiment, bounds=_least_times(experiment), warnings=warnings)
     if out is None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.kernels import BENCHMARK, DEFAULT, GOAL, NO_SAFETY, START, TURNS, planned, turns
+from support.kernels import BENCHMARK, DEFAULT, GOAL, NO_SAFETY, TURNS, planned, turns
 
 from kraft.driving.messages import PlanLoss
 from kraft.driving.remainder import Remainder, retain, retained_plan
