@@ -123,7 +123,7 @@ def _entry_times(mine: Trials, theirs: Trials, keys: Sequence[tuple[str, str, in
 def trials_of(found: Sequence[Results], method: str) -> Trials:
     """Trials of a method in results folders; a trial that failed by a defect is no success.
 
-    Trials of the same scene are other ones if keys of it, the vehicle or the clock differ.
+    Trials of the same scene are other ones if its content, keys that are set, the vehicle or the clock differ.
 
     Raises:
         InputError: if two folders have the same trial.
@@ -141,11 +141,11 @@ def trials_of(found: Sequence[Results], method: str) -> Trials:
 
 
 def _conditions(found: Results, cell: RecordedCell) -> str:
-    """The suite of an evaluation, and what was set in an entry of it; equal for trials that may be paired."""
+    """Suite, what was set, and hash of the scenario of an entry, in this order; equal for trials that may be paired."""
     arguments, manifest = found.manifest.arguments, found.manifest
     parts = [str(arguments.get("suite") or ""), *(f"{key}={cell.set[key]}" for key in sorted(cell.set))]
     parts += [f"vehicle {arguments['vehicle']}"] if arguments.get("vehicle") else []
-    return " ".join([*parts, *(["realtime"] if manifest.realtime else [])])
+    return " ".join([*parts, *(["realtime"] if manifest.realtime else []), manifest.scenarios[cell.name].sha256])
 
 
 def comparisons(found: Sequence[Results]) -> list[Comparison]:

@@ -21,6 +21,7 @@ from benchmarks.claims import (
     table,
     trials_of,
 )
+from kraft.config import bundled
 from kraft.driving.method import load_method
 from kraft.evaluation import evaluate
 from kraft.evaluation.report.results import read_results
@@ -112,7 +113,7 @@ def test_both_suites_are_compared_together_with_methods_from_several_folders(
             folders.append(tmp_path / f"{suite}-{method}")
             evaluate([scenario], [method], 4, 3, 1, folders[-1], arguments={"scenarios": [scenario], "suite": suite})
     found = [read_results(folder) for folder in folders]
-    assert sorted({key[:2] for key in trials_of(found, "kraft")}) == [("hard", "boxes"), ("paper", "turns")]
+    assert sorted({(key[0].split()[0], key[1]) for key in trials_of(found, "kraft")}) == [("hard", "boxes"), ("paper", "turns")]
     (compared,) = comparisons(found)
     assert (compared.claim.part, compared.success.pairs, compared.success.gained) == (SAFETY, 8, 8)
     assert compared.verdict == "no difference shown", "two entries alone"
@@ -143,6 +144,21 @@ def test_a_trial_that_is_in_two_folders_is_refused_unless_something_was_set(
     again = driven("again", "kraft")
     assert results.main([str(first), str(other), str(again), "--out", str(tmp_path / "results.md")]) == 2
     assert "of kraft in turns is in two of them" in capsys.readouterr().err
+
+
+def test_trials_of_two_scenarios_with_one_name_are_no_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_trials.use(monkeypatch, fake_trials.quick, inline=True)
+    text = (bundled.folder("scenario") / "turns.yaml").read_text(encoding="utf-8")
+    for folder, method, content in (
+        ("one", "kraft", text),
+        ("other", "conservative-kraft", text),
+        ("changed", "conservative-kraft", text.replace("radius: 0.25", "radius: 0.3")),
+    ):
+        (tmp_path / "lab.yaml").write_text(content, encoding="utf-8")
+        evaluate([str(tmp_path / "lab.yaml")], [method], 4, 3, 1, tmp_path / folder, arguments={})
+    one, other, changed = (read_results(tmp_path / name) for name in ("one", "other", "changed"))
+    assert len(comparisons([one, other])) == 1
+    assert comparisons([one, changed]) == []
 
 
 def test_every_method_of_the_claims_exists() -> None:
