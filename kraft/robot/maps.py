@@ -20,13 +20,20 @@ from kraft.robot.protocol import DriveSpec, Mailbox, MapLink, MapNews
 from kraft.robot.robot_file import Robot
 from kraft.robot.transport import Transport
 from kraft.scenario import OccupancyMap, Task
+from ompl_ext.obstacles import Polygon
 
+MAP: Final = "map"
+"""Name of the obstacle that is the robot's map."""
 OCCUPIED: Final = 50
 """Occupancy in percent from which on a cell of a map is occupied; unknown cells are occupied too."""
 RESOLUTION_MIN: Final = 0.005
 """Least side of a cell of a map, m."""
 AROUND: Final = 1.0
 """Distance from the bounds up to which a map of the robot is used, m."""
+BETWEEN: Final = 0.03
+"""Distance between two points at which two maps are compared, m."""
+NEWS: Final = 0.15
+"""Share of them that differs where a map has news; cells at the border of an obstacle come and go."""
 LOOK: Final = 0.2
 """Time between two looks at whether the robot is connected, s."""
 
@@ -89,10 +96,27 @@ def with_map(task: Task, grid: OccupancyMap | None) -> Task:
     return replace(task, obstacles=(*kept, near_bounds(grid, task)))
 
 
+def map_of(task: Task) -> OccupancyMap | None:
+    """The robot's map of a task with one, see `with_map`."""
+    maps = (each for each in task.obstacles if isinstance(each, OccupancyMap) and each.name == MAP)
+    return next(maps, None)
+
+
 def near_bounds(grid: OccupancyMap, task: Task) -> OccupancyMap:
     """Part of a map that is used, up to AROUND outside the bounds of a task: it may be that of a building."""
     (x0, x1), (y0, y1) = task.bounds.x, task.bounds.y
     return grid.cropped((x0 - AROUND, x1 + AROUND), (y0 - AROUND, y1 + AROUND))
+
+
+def has_news_of(obstacle: Polygon, before: OccupancyMap | None, now: OccupancyMap) -> bool:
+    """Whether a map tells something else than the last one about the place of an obstacle, or is the first one."""
+    if before is None:
+        return True
+    low, high = np.min(obstacle.vertices, axis=0), np.max(obstacle.vertices, axis=0)
+    x, y = (np.arange(a, b + BETWEEN, BETWEEN) for a, b in zip(low, high, strict=True))
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    differs = before.occupied_at(points) != now.occupied_at(points)
+    return bool(differs.mean() > NEWS)
 
 
 def occupancy_map(message: Any) -> OccupancyMap:
@@ -113,4 +137,4 @@ def occupancy_map(message: Any) -> OccupancyMap:
     occupied = (cells >= OCCUPIED) | (cells < 0)
     grid = occupied.reshape(int(info.height), int(info.width))
     grid.setflags(write=False)
-    return OccupancyMap(grid, float(info.resolution), origin, name="map")
+    return OccupancyMap(grid, float(info.resolution), origin, name=MAP)

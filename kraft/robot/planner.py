@@ -21,7 +21,7 @@ from kraft.driving.messages import Commitment, Estimate, ReferenceKind
 from kraft.driving.replanner import Replanner
 from kraft.driving.solvers import Solvers
 from kraft.planning.feasibility import geodesic_time, goal_hit
-from kraft.robot.maps import with_map
+from kraft.robot.maps import has_news_of, map_of, with_map
 from kraft.robot.protocol import (
     BeginOrder,
     DecisionRequest,
@@ -135,8 +135,10 @@ class Planner:
                 x, y = self._task.goal.center
                 problem, goal = f"{problem}: the last one, ({x:g}, {y:g}), stays", None
             task = changed(self._task, None, change.map)
-        self._task = task
-        blocked = self._replanner.blocked if change.map is None else ()  # a new map has it, or it is gone
+        before, self._task = map_of(self._task), task
+        blocked = self._replanner.blocked
+        if (grid := change.map) is not None:  # where it has news, what blocked the vehicle is part of it, or is gone
+            blocked = tuple(each for each in blocked if not has_news_of(each, before, grid))
         self._solvers = Solvers.of(self._task, self._spec.vehicle, self._spec.method.planner, blocked)
         self._solvers.load(self._state)
         self._replanner.set_solvers(self._solvers, blocked)

@@ -110,6 +110,16 @@ class OccupancyMap:
         origin = (x0 + c * u - s * v, y0 + s * u + c * v, yaw)
         return OccupancyMap(self.occupied[rows, columns], self.resolution, origin, self.height, self.name)
 
+    def occupied_at(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether the cells at points (n, 2) in m are occupied; outside of the map none is."""
+        x0, y0, yaw = self.origin
+        c, s = math.cos(yaw), math.sin(yaw)
+        column, row = np.floor((points - (x0, y0)) @ np.array([[c, -s], [s, c]]) / self.resolution).astype(int).T
+        rows, columns = self.occupied.shape
+        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        found: NDArray[np.bool_] = inside & self.occupied[row.clip(0, rows - 1), column.clip(0, columns - 1)]
+        return found
+
     @property
     def corners(self) -> NDArray[np.float64]:
         """Corners (4, 2) of the whole map, counter-clockwise from its origin, m."""

@@ -113,7 +113,10 @@ def test_both_suites_are_compared_together_with_methods_from_several_folders(
             folders.append(tmp_path / f"{suite}-{method}")
             evaluate([scenario], [method], 4, 3, 1, folders[-1], arguments={"scenarios": [scenario], "suite": suite})
     found = [read_results(folder) for folder in folders]
-    assert sorted({(key[0].split()[0], key[1]) for key in trials_of(found, "kraft")}) == [("hard", "boxes"), ("paper", "turns")]
+    assert sorted({(key[0].split()[0], key[1]) for key in trials_of(found, "kraft")}) == [
+        ("hard", "boxes"),
+        ("paper", "turns"),
+    ]
     (compared,) = comparisons(found)
     assert (compared.claim.part, compared.success.pairs, compared.success.gained) == (SAFETY, 8, 8)
     assert compared.verdict == "no difference shown", "two entries alone"

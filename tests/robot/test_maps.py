@@ -12,12 +12,13 @@ import pytest
 
 from kraft.robot.inputs import Inputs
 from kraft.robot.loopback import LoopbackBus
-from kraft.robot.maps import receive_maps
+from kraft.robot.maps import MAP, has_news_of, receive_maps
 from kraft.robot.messages import GRID, POSE, from_json, header, make, pose_fields
 from kraft.robot.protocol import Mailbox, MapNews
 from kraft.robot.robot_file import Robot
 from kraft.robot.task_inputs import TaskInputs
-from kraft.scenario import load_scenario
+from kraft.scenario import OccupancyMap, load_scenario
+from ompl_ext.obstacles import Polygon
 
 TASK = load_scenario("turns").task()
 CELLS = [0, 100, -1, 0, 0, 0]
@@ -105,6 +106,29 @@ def test_the_controller_takes_a_new_map_and_knows_when_the_last_one_cannot_be_us
     theirs.close()
     until(True)
     assert tasks.trouble == "the process that receives maps has ended"
+
+
+def floor(*occupied: tuple[float, float], yaw: float = 0.0) -> OccupancyMap:
+    """A floor of 4 m x 4 m around the origin, with occupied cells of 5 cm at the places (m)."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    found = np.zeros((80, 80), dtype=bool)
+    for place in occupied:
+        column, row = np.floor((np.array([[c, s], [-s, c]]) @ place + 2.0) / 0.05).astype(int)
+        found[row, column] = True
+    return OccupancyMap(found, 0.05, (-2.0 * (c - s), -2.0 * (s + c), yaw), name=MAP)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7])
+def test_a_map_has_news_of_a_place_only_where_it_differs_there(yaw: float) -> None:
+    doorstep = Polygon(((0.4, -0.1), (0.6, -0.1), (0.6, 0.1), (0.4, 0.1)))
+    box = [(x, y) for x in np.arange(0.4, 0.6, 0.02) for y in np.arange(-0.1, 0.1, 0.02)]
+    empty, elsewhere, seen = floor(yaw=yaw), floor((-1.0, 1.0), (1.0, 0.5), yaw=yaw), floor(*box, yaw=yaw)
+    assert not has_news_of(doorstep, empty, floor())
+    assert not has_news_of(doorstep, empty, elsewhere)
+    assert not has_news_of(doorstep, empty, floor((0.5, 0.1), yaw=yaw)), "one cell comes and goes"
+    assert has_news_of(doorstep, empty, seen)
+    assert has_news_of(doorstep, seen, elsewhere)
+    assert has_news_of(doorstep, None, empty)
 
 
 def test_lists_of_numbers_in_json_are_arrays_and_other_things_are_refused() -> None:
