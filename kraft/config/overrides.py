@@ -94,7 +94,7 @@ def repeated_values(key: str, values: Sequence[Value], place: Place) -> list[Dia
     return [
         place.diagnostic(key, f"has the value {value_text(value)} twice", "expected it once", Code.DUPLICATE)
         for k, value in enumerate(values)
-        if any(value == other and type(value) is type(other) for other in values[:k])
+        if any(value == other and isinstance(value, bool) == isinstance(other, bool) for other in values[:k])
     ]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from kraft.robot.protocol import moved_goal
+from kraft.robot.protocol import NewGoal
 from kraft.scenario import Goal
 from ompl_ext.arrays import Floats
 from ompl_ext.poses import pose_of
@@ -22,9 +22,9 @@ class Arrival:
     def __init__(self, goal: Goal, vehicle: Vehicle) -> None:
         self._goal, self._vehicle, self._ticks = goal, vehicle, 0
 
-    def move(self, center: tuple[float, float]) -> None:
-        """Take another place (m) as the goal."""
-        self._goal = moved_goal(self._goal, center)
+    def move(self, goal: NewGoal) -> None:
+        """Take another goal."""
+        self._goal = goal.moved(self._goal)
 
     def look(self, state: Floats, *, may_count: bool) -> bool:
         """Whether the goal is reached in this tick, with an estimated state (nx,); only ticks that `may_count` do."""

@@ -26,10 +26,10 @@ from kraft.robot.protocol import (
     BeginOrder,
     DecisionRequest,
     DriveSpec,
+    NewGoal,
     Planned,
     TaskChange,
     TaskTaken,
-    moved_goal,
 )
 from kraft.scenario import OccupancyMap, Task
 from ompl_ext.arrays import Floats
@@ -55,7 +55,7 @@ class Planner:
         self._model = model_of(vehicle)
         self._estimator = make_estimator(method.estimator, self._model, state, spec.camera)
         self._solvers = Solvers.of(self._task, vehicle, method.planner)
-        self._replanner = self._new_replanner()
+        self._replanner = self._new_replanner(self._solvers)
         self._warm_up(state)
         return BeginOrder(state, self._replanner.begin(state, self._estimator.uncertainty(0.0)))
 
@@ -77,19 +77,22 @@ class Planner:
         Where the vehicle stands with less clearance than the method asks for, that lowers what its solvers ask for.
         """
         assert self._replanner is not None, "it is there"
+        for goal in self._spec.other_goals:  # for which it plans by other functions
+            solvers = Solvers.of(replace(self._task, goal=goal), self._model.vehicle, self._spec.method.planner)
+            self._new_replanner(solvers).begin(state)
         asked = self._solvers.checking.safety
         commitment, moving = self._replanner.begin(state), state.copy()
         moving[self._model.v] = 0.5 * self._model.vehicle.top_speed
         self._replanner.decide(Estimate(0.0, moving, 0.0), commitment)
         shape = asked.delta_per_speed, asked.delta_per_time, asked.delta_horizon
         self._solvers.checking.set_bound(asked.delta, *shape)
-        self._replanner = self._new_replanner()
+        self._replanner = self._new_replanner(self._solvers)
 
-    def _new_replanner(self) -> Replanner:
+    def _new_replanner(self, solvers: Solvers) -> Replanner:
         spec = self._spec
         method = spec.method
         return Replanner(
-            self._solvers, method.planner, make_controller(method.controller, self._model), spec.seed,
+            solvers, method.planner, make_controller(method.controller, self._model), spec.seed,
             period=spec.period, delay=self._estimator.horizon, realtime=True, keep_trees=self._keep_trees,
             command_timeout=spec.robot.command.timeout,
         )  # fmt: skip
@@ -157,8 +160,8 @@ class Planner:
         return ""
 
 
-def changed(task: Task, goal: tuple[float, float] | None, grid: OccupancyMap | None) -> Task:
+def changed(task: Task, goal: NewGoal | None, grid: OccupancyMap | None) -> Task:
     """Task with a new goal, and with a new map instead of the last one of the same name."""
     if goal is not None:
-        task = replace(task, goal=moved_goal(task.goal, goal))
+        task = replace(task, goal=goal.moved(task.goal))
     return with_map(task, grid)

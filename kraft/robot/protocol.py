@@ -39,6 +39,15 @@ class DriveSpec:
         """Time from one command to the next, s."""
         return 1.0 / (self.robot.rate_hz or self.method.controller.rate_hz)
 
+    @property
+    def other_goals(self) -> tuple[Goal, ...]:
+        """A goal with a heading if the robot may send such and the task has none, or the other way round."""
+        if self.robot.goal is None or (self.robot.goal.heading_tolerance is None) == (self.task.goal.heading is None):
+            return ()
+        tolerance = self.robot.goal.heading_tolerance
+        heading = None if tolerance is None else 0.0
+        return (NewGoal(self.task.goal.center, heading, tolerance).moved(self.task.goal),)
+
     def at_rest(self, pose: Pose) -> Floats:
         """State (nx,) of the vehicle that stands at a pose."""
         state = start_state(self.task, self.vehicle)
@@ -109,18 +118,31 @@ class DecisionRequest:
 
 
 @dataclass(frozen=True)
-class TaskChange:
-    """A new goal (m), or a new map, for the next commitment and for all plans after it."""
+class NewGoal:
+    """Place (m) of a new goal, and its heading and the tolerance of it (rad), which are None if any heading will do."""
 
-    goal: tuple[float, float] | None
+    center: tuple[float, float]
+    heading: float | None = None
+    heading_tolerance: float | None = None
+
+    def moved(self, goal: Goal) -> Goal:
+        """The region of a goal of before, at this place and with this heading."""
+        return replace(goal, center=self.center, heading=self.heading, heading_tolerance=self.heading_tolerance)
+
+
+@dataclass(frozen=True)
+class TaskChange:
+    """A new goal, or a new map, for the next commitment and for all plans after it."""
+
+    goal: NewGoal | None
     map: OccupancyMap | None
 
 
 @dataclass(frozen=True)
 class TaskTaken:
-    """Answer to a change: the goal (m) that holds from now on if it is new, and why one cannot be reached."""
+    """Answer to a change: the goal that holds from now on if it is new, and why one cannot be reached."""
 
-    goal: tuple[float, float] | None
+    goal: NewGoal | None
     problem: str = ""
 
 
@@ -141,11 +163,6 @@ class MapLink:
     """Why the process that receives maps is not connected to the robot; `problem` is empty if it is."""
 
     problem: str
-
-
-def moved_goal(goal: Goal, center: tuple[float, float]) -> Goal:
-    """Goal region around another position (m), which a vehicle may reach with any heading."""
-    return replace(goal, center=center, heading=None, heading_tolerance=None)
 
 
 @dataclass(frozen=True)

@@ -190,6 +190,18 @@ class TopicInput(StrictModel):
     """topic"""
 
 
+class GoalInput(TopicInput):
+    """Topic of goals."""
+
+    heading_tolerance_deg: Annotated[float, Field(gt=0, le=180)] | None = None
+    """largest deviation from the heading of such a goal at which it is reached, degrees; of any heading if left out"""
+
+    @property
+    def heading_tolerance(self) -> float | None:
+        """The tolerance, rad."""
+        return None if self.heading_tolerance_deg is None else math.radians(self.heading_tolerance_deg)
+
+
 class Limits(StrictModel):
     """Limits that plans and commands keep, beside those of the vehicle."""
 
@@ -239,8 +251,8 @@ class Robot(StrictModel):
     """{topic, type, frame, speed, steering, timeout}"""
     dead_man: DeadMan | None = None
     """{topic, type, button, timeout} of a switch that must be held; none if left out"""
-    goal: TopicInput | None = None
-    """{topic} of goals as PoseStamped, which replace the scenario's"""
+    goal: GoalInput | None = None
+    """{topic, heading_tolerance_deg} of goals as PoseStamped, which replace the scenario's"""
     map: TopicInput | None = None
     """{topic} of an OccupancyGrid, which is added to the scenario's obstacles"""
     clock: TopicInput | None = None

@@ -6,8 +6,8 @@ import math
 from collections import deque
 from typing import Any
 
-from kraft.robot.messages import POSE
-from kraft.robot.protocol import Check, Mailbox, MapLink, MapNews, StopOrder
+from kraft.robot.messages import POSE, yaw_of
+from kraft.robot.protocol import Check, Mailbox, MapLink, MapNews, NewGoal, StopOrder
 from kraft.robot.robot_file import Robot
 from kraft.robot.transport import Transport
 from kraft.scenario import OccupancyMap
@@ -19,7 +19,7 @@ class TaskInputs:
     def __init__(self, robot: Robot, transport: Transport, maps: Mailbox | None) -> None:
         """Subscribe to goals; `maps` is the mailbox of the process that receives maps, None if the robot has none."""
         self._robot, self._maps = robot, maps
-        self._goals: deque[tuple[float, float]] = deque(maxlen=1)  # a thread of the transport adds to it
+        self._goals: deque[NewGoal] = deque(maxlen=1)  # a thread of the transport adds to it
         self._map: OccupancyMap | None = None
         self._goal_problem = ""
         self._size = self._map_problem = self._link_problem = ""
@@ -27,15 +27,23 @@ class TaskInputs:
             transport.subscribe(robot.goal.topic, POSE, self._take_goal, refused=self._refuse_goal)
 
     def _take_goal(self, message: Any, _: int) -> None:
-        place = message.pose.position
-        frame = message.header.frame_id.lstrip("/")
-        if frame == self._robot.pose.frame and math.isfinite(place.x) and math.isfinite(place.y):
-            self._goals.append((float(place.x), float(place.y)))
-        else:
-            expected = f"expected numbers in the frame {self._robot.pose.frame!r}"
-            self._goal_problem = (
-                f"the goal ({place.x:g}, {place.y:g}) in the frame {frame!r} cannot be used: {expected}"
-            )
+        place, frame = message.pose.position, message.header.frame_id.lstrip("/")
+        goal, expected = self._goal(message.pose), f"numbers in the frame {self._robot.pose.frame!r}"
+        numbers = [*goal.center, 0.0 if goal.heading is None else goal.heading]
+        if frame == self._robot.pose.frame and all(map(math.isfinite, numbers)):
+            self._goals.append(goal)
+            return
+        expected += "" if goal.heading is None else ", and a rotation as the orientation"
+        where = f"({place.x:g}, {place.y:g}) in the frame {frame!r}"
+        self._goal_problem = f"the goal {where} cannot be used: expected {expected}"
+
+    def _goal(self, pose: Any) -> NewGoal:
+        """Goal of a pose, with its heading if the robot file states a tolerance."""
+        assert self._robot.goal is not None, "it is subscribed because of it"
+        center, tolerance = (float(pose.position.x), float(pose.position.y)), self._robot.goal.heading_tolerance
+        if tolerance is None:
+            return NewGoal(center)
+        return NewGoal(center, yaw_of(pose.orientation), tolerance)
 
     def _refuse_goal(self, why: str) -> None:
         self._goal_problem = f"a message cannot be used as a goal: it {why}"
@@ -51,8 +59,8 @@ class TaskInputs:
             elif isinstance(news, StopOrder):
                 self._link_problem = "the process that receives maps has ended"
 
-    def take_goal(self) -> tuple[float, float] | None:
-        """New goal since the last call, m."""
+    def take_goal(self) -> NewGoal | None:
+        """New goal since the last call."""
         return self._goals.pop() if self._goals else None
 
     def take_goal_problem(self) -> str:

@@ -15,7 +15,7 @@ from kraft.config.overrides import parse_overrides
 from kraft.driving.messages import Cycle
 from kraft.driving.method import Method, load_method
 from kraft.driving.needs import needs_of
-from kraft.errors import Diagnostic, InputError, MissingError, Problems, out_of_range
+from kraft.errors import Code, Diagnostic, InputError, MissingError, Problems, out_of_range
 from kraft.evaluation.statistics import percentile, while_driving
 from kraft.files import check_new_folder, write_json
 from kraft.planning.compilation import ensure_all_compiled
@@ -101,7 +101,8 @@ def drive_robot(request: DriveRequest, report: MessageSink, problem: MessageSink
     check_transport(spec.robot)
     for line in vehicle_details(spec.vehicle):
         detail(line)
-    ensure_all_compiled([needs_of(spec.method, spec.vehicle, spec.task.goal)], report)
+    goals = (spec.task.goal, *spec.other_goals)
+    ensure_all_compiled([needs_of(spec.method, spec.vehicle, goal) for goal in goals], report)
     check_reachable(spec.task, spec.vehicle)
     on_check = partial(_report_checks, report=report, problem=problem)
     newest: list[Status] = []
@@ -231,6 +232,9 @@ def resolve(request: DriveRequest) -> DriveSpec:
     if late := robot.too_slow(1.0 / spec.period):
         problem = f"{spec.method.name} sends {1.0 / spec.period:g} a second, {late[0]}"
         raise InputError([robot.source.diagnostic("command.timeout", problem, f"{late[1]} (rate_hz)")])
+    if robot.goal is not None and robot.goal.heading_tolerance_deg is not None and vehicle.index("theta") < 0:
+        problem, expected = f"{vehicle.name} has no heading: its state has no component theta", "expected it left out"
+        raise InputError([robot.source.diagnostic("goal.heading_tolerance_deg", problem, expected, code=Code.MISMATCH)])
     return spec
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,7 +21,7 @@ from kraft.robot.inputs import Inputs
 from kraft.robot.loopback import LoopbackBus, LoopbackNode
 from kraft.robot.maps import receive_maps
 from kraft.robot.messages import ACKERMANN, BOOL, GRID, JOY, POSE, header, make, pose_fields
-from kraft.robot.protocol import Check, Checked, DriveSpec, Mailbox
+from kraft.robot.protocol import Check, Checked, DriveSpec, Mailbox, NewGoal
 from kraft.robot.robot_file import Robot, load_robot
 from kraft.robot.task_inputs import TaskInputs
 from kraft.scenario import load_scenario
@@ -298,8 +299,24 @@ def test_a_goal_in_another_frame_is_not_taken_and_the_reason_is_told() -> None:
     assert inputs.take_goal_problem() == f"the goal (1, 2) in the frame 'odom' cannot be used: {expected}"
     assert inputs.take_goal_problem() == ""
     node.publish("/goal", make(POSE, header=header(1, "map"), pose=pose_fields(1, 2, 0)))
-    assert inputs.take_goal() == (1.0, 2.0)
+    assert inputs.take_goal() == NewGoal((1.0, 2.0))
     assert inputs.take_goal() is None
+
+
+def test_a_goal_has_the_heading_of_its_message_if_the_robot_file_states_a_tolerance() -> None:
+    bus, described = LoopbackBus(), robot(goal={"topic": "/goal", "heading_tolerance_deg": 15})
+    inputs, node = TaskInputs(described, bus.node("kraft"), None), bus.node("robot")
+    node.publish("/goal", make(POSE, header=header(1, "map"), pose=pose_fields(1, 2, -2.5)))
+    goal = inputs.take_goal()
+    assert goal is not None
+    moved = goal.moved(load_scenario("boxes").goal)
+    assert (moved.center, moved.heading, moved.heading_tolerance) == (
+        (1.0, 2.0), pytest.approx(-2.5), pytest.approx(math.radians(15)),
+    )  # fmt: skip
+    lying = pose_fields(1, 2, 0) | {"orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.0}}
+    node.publish("/goal", make(POSE, header=header(1, "map"), pose=lying))
+    assert inputs.take_goal() is None
+    assert "and a rotation as the orientation" in inputs.take_goal_problem()
 
 
 def test_a_scenario_that_begins_elsewhere_is_the_one_to_check_against() -> None:

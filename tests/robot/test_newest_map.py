@@ -13,7 +13,7 @@ from support.control import control_and_guard
 
 from kraft.driving.messages import Commitment, Estimate, Reference, ReferenceKind
 from kraft.robot.newest_map import NewestMap
-from kraft.robot.protocol import Planned
+from kraft.robot.protocol import NewGoal, Planned
 from kraft.scenario import OccupancyMap
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
@@ -143,9 +143,9 @@ def test_the_vehicle_stops_at_once_and_takes_no_plan_into_the_map_on_board(
     )
 
 
-@pytest.mark.parametrize(("goal", "counts"), [(None, True), ((1.0, 2.0), False)])
+@pytest.mark.parametrize(("goal", "counts"), [(None, True), (NewGoal((1.0, 2.0)), False)])
 def test_the_goal_counts_as_reached_while_the_planner_gets_ready_for_a_map_but_not_for_another_goal(
-    goal: tuple[float, float] | None, counts: bool, monkeypatch: pytest.MonkeyPatch
+    goal: NewGoal | None, counts: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of a robot that sends maps often it nearly always does."""
     control, _tracker, _guard = control_and_guard()

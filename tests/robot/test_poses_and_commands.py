@@ -24,7 +24,7 @@ from kraft.robot.maps import occupancy_map
 from kraft.robot.messages import BOOL, GRID, make, pose_fields
 from kraft.robot.planner import Planner, changed
 from kraft.robot.poses import Clocks, PoseGuard, Received, units_hint
-from kraft.robot.protocol import BeginOrder, DecisionRequest, DriveSpec, Sense, TaskChange
+from kraft.robot.protocol import BeginOrder, DecisionRequest, DriveSpec, NewGoal, Sense, TaskChange
 from kraft.robot.robot_file import Robot
 from kraft.robot.timebase import TopicClock
 from kraft.robot.tracker import Tracker
@@ -32,6 +32,7 @@ from kraft.robot.world import clock_message
 from kraft.scenario import OccupancyMap, load_scenario
 from kraft.vehicles.identification_record import CommandScale
 from kraft.vehicles.load import load_vehicle
+from ompl_ext.poses import pose_of
 from ompl_ext.vehicle import Vehicle
 
 LATENCY = 0.01
@@ -418,14 +419,34 @@ def test_a_goal_that_cannot_be_reached_is_not_taken_and_the_last_one_stays() -> 
     planner = Planner(DriveSpec(task, on_the_clock(load_method("adaptive-kraft")), vehicle, robot(), 60.0))
     planner.begin((task.start.x, task.start.y, task.start.heading))
     x, y = task.goal.center
-    taken = planner.change(TaskChange((50.0, 2.0), None))
+    taken = planner.change(TaskChange(NewGoal((50.0, 2.0)), None))
     assert taken.goal is None
     assert taken.problem == f"the goal (50, 2) is out of bounds: the last one, ({x:g}, {y:g}), stays"
-    taken = planner.change(TaskChange((x, y), None))
-    assert (taken.goal, taken.problem) == ((x, y), "")
+    taken = planner.change(TaskChange(NewGoal((x, y)), None))
+    assert (taken.goal, taken.problem) == (NewGoal((x, y)), "")
     wall = OccupancyMap(np.ones((10, 10), bool), 0.1, (x - 0.5, y - 0.5, 0.0), name="map")
     taken = planner.change(TaskChange(None, wall))
     assert (taken.goal, taken.problem) == (None, f"the goal ({x:g}, {y:g}) is in collision with 'map'")
+
+
+@pytest.mark.slow
+def test_plans_end_with_the_heading_of_a_new_goal() -> None:
+    task, vehicle = load_scenario("boxes").task(), load_vehicle("mushr-force")
+    described = robot(goal={"topic": "/goal", "heading_tolerance_deg": 15})
+    planner = Planner(DriveSpec(task, on_the_clock(load_method("adaptive-kraft")), vehicle, described, 60.0))
+    begun = planner.begin((task.start.x, task.start.y, task.start.heading))
+    heading, tolerance = math.radians(150), math.radians(15)
+    taken = planner.change(TaskChange(NewGoal(task.goal.center, heading, tolerance), None))
+    assert not taken.problem
+    planner.decide(DecisionRequest(-0.3, 0, Sense(0), begun.commitment))
+    planner.prepare()
+    assert planner._replanner is not None
+    plan = planner._replanner.proposal.plan
+    assert plan is not None
+    assert plan.reaches_goal
+    x, y, theta = pose_of(plan.states[-1], vehicle)
+    assert math.dist((x, y), task.goal.center) <= task.goal.radius
+    assert abs(math.remainder(theta - heading, math.tau)) <= tolerance
 
 
 def test_a_simulation_whose_time_is_less_than_the_machines_runs_and_its_dead_man_is_heard(
