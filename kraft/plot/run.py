@@ -248,10 +248,7 @@ class DrivenTrajectory:
 
 
 def panels_of_run(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list[Panel]:
-    """Panels of speed (true, estimated, planned), true clearance, and the commands; none without a command.
-
-    Without obstacles, also in a map that has none, there is no clearance.
-    """
+    """Panels of speed (true, estimated, planned), true clearance, and the commands; none without a command."""
     steps, times = drive.result.steps, drive.motion.times
     if not steps:
         return []
@@ -270,10 +267,10 @@ def panels_of_run(drive: DrivenTrajectory, task: Task, vehicle: Vehicle) -> list
     top = max(vehicle.top_speed, float(np.nanmax(everything)))
     exact = ExactClearance(workspace_of(task, vehicle), vehicle.footprint)
     clearance = np.maximum(exact.distances(drive.motion.poses), 0.0)
-    panels = [Panel(quantity("speed, m/s"), tuple(speeds), (min(0.0, float(np.nanmin(everything))), top))]
-    if np.isfinite(clearance).all():
-        limits = 0.0, max(0.1, float(clearance.max()))
-        panels.append(Panel(quantity("clearance, m"), (Curve(times, clearance, true),), limits))
+    panels = [
+        Panel(quantity("speed, m/s"), tuple(speeds), (min(0.0, float(np.nanmin(everything))), top)),
+        Panel(quantity("clearance, m"), (Curve(times, clearance, true),), (0.0, max(0.1, float(clearance.max())))),
+    ]
     commands = np.array([step.command for step in steps])
     for name, values, (low, high) in zip(vehicle.controls, commands.T, vehicle.control_bounds, strict=True):
         title = control_title(vehicle, name)

@@ -10,7 +10,6 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
-from support import fake_trials
 
 from kraft.driving.messages import ReferenceKind
 from kraft.driving.method import load_method
@@ -103,16 +102,6 @@ def test_a_trial_that_ends_at_its_start_is_drawn_without_panels(driven: TrialRes
     plot_run(tmp_path / "run.png", MOVABLE.task(), MUSHR, result)
     assert width(tmp_path / "run.png") > 0
     assert panels_of_run(DrivenTrajectory.of(result, MOVABLE.start), MOVABLE.task(), MUSHR) == []
-
-
-def test_a_drive_in_a_scene_without_obstacles_is_drawn_without_a_clearance(tmp_path: Path) -> None:
-    empty = dataclasses.replace(MOVABLE, obstacles=())
-    result = fake_trials.quick(TrialSpec(empty, load_method("kraft"), MUSHR, 0))
-    plot_run(tmp_path / "run.svg", empty.task(), MUSHR, result)
-    panels = panels_of_run(DrivenTrajectory.of(result, empty.start), empty.task(), MUSHR)
-    titles = [text for panel in panels for text, _ in panel.title]
-    assert "speed, m/s" in titles
-    assert "clearance, m" not in titles
 
 
 def test_the_page_names_the_vehicle_and_the_seed(driven: TrialResult) -> None:
