@@ -100,9 +100,8 @@ class Overlay:
         numbers = [
             ("time", f"{snapshot.time:.1f}", "s"),
             ("speed", f"{round(snapshot.speed, 2) + 0.0:.2f}", "m/s"),
+            ("clearance", f"{100 * max(snapshot.clearance, 0.0):.0f}", "cm"),
         ]
-        if math.isfinite(snapshot.clearance):  # there is an obstacle
-            numbers.append(("clearance", f"{100 * max(snapshot.clearance, 0.0):.0f}", "cm"))
         if self._knows_plans:
             numbers.insert(2, _plan_to_goal(snapshot))
         foot = self._height - BAND

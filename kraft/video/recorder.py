@@ -287,9 +287,8 @@ def _state(snapshot: Snapshot) -> Any:
     rows = [
         ("time", f"{snapshot.time:.1f} s"),
         ("speed", f"{snapshot.speed:.2f} m/s"),
+        ("clearance", f"{100 * max(snapshot.clearance, 0.0):.0f} cm"),
     ]
-    if math.isfinite(snapshot.clearance):  # there is an obstacle
-        rows.append(("clearance", f"{100 * max(snapshot.clearance, 0.0):.0f} cm"))
     if snapshot.cycle is not None:
         rows.append((str(snapshot.cycle.kind), snapshot.cycle.reason or " "))
     return _text("\n".join(name for name, _ in rows), "\n".join(value for _, value in rows))
