@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 from kraft.robot.protocol import NewGoal
@@ -26,13 +27,18 @@ class Arrival:
         """Take another goal."""
         self._goal = goal.moved(self._goal)
 
-    def look(self, state: Floats, *, may_count: bool) -> bool:
-        """Whether the goal is reached in this tick, with an estimated state (nx,); only ticks that `may_count` do."""
-        self._ticks = self._ticks + 1 if may_count and self._is_inside(state) else 0
+    def look(self, state: Floats, open_goals: Sequence[tuple[float, float]], *, may_count: bool) -> bool:
+        """Whether the goal is reached in this tick, with an estimated state (nx,); only ticks that `may_count` do.
+
+        Whichever of `open_goals` (m) the planner takes, the state has to be in it too.
+        """
+        goals = [self._goal, *(moved_goal(self._goal, center) for center in open_goals)]
+        is_inside = may_count and all(self._is_inside(goal, state) for goal in goals)
+        self._ticks = self._ticks + 1 if is_inside else 0
         return self._ticks >= TICKS
 
-    def _is_inside(self, state: Floats) -> bool:
-        """Whether a state is inside the goal region by a margin."""
+    def _is_inside(self, goal: Goal, state: Floats) -> bool:
+        """Whether a state is inside a goal region by a margin."""
         components = {name: float(state[k]) for k, name in enumerate(self._vehicle.state)}
-        margin = min(MARGIN, 0.25 * self._goal.radius)
-        return self._goal.contains(*pose_of(state, self._vehicle), components, margin)
+        margin = min(MARGIN, 0.25 * goal.radius)
+        return goal.contains(*pose_of(state, self._vehicle), components, margin)

@@ -19,6 +19,7 @@ from kraft.driving.estimation.adaptive import Learned
 from kraft.driving.messages import Commitment, Estimate, Observation, Reference, ReferenceKind
 from kraft.errors import UserCodeError
 from kraft.robot.arrival import Arrival
+from kraft.robot.change_requests import ChangeRequests
 from kraft.robot.decision_requests import DecisionRequests
 from kraft.robot.drive_tables import DriveTables
 from kraft.robot.guard import SILENCE
@@ -44,7 +45,6 @@ from kraft.robot.protocol import (
     Sense,
     Status,
     StopOrder,
-    TaskChange,
     TaskTaken,
 )
 from kraft.robot.task_inputs import TaskInputs
@@ -93,7 +93,7 @@ class ControlLoop:
         self._observations: list[Observation] = []
         self._commands: list[tuple[float, Floats, Floats]] = []
         self._arrival, self._newest_map = Arrival(spec.task.goal, spec.vehicle), NewestMap(spec.vehicle)
-        self._unanswered = deque[bool]()  # changes that the planner has not answered: whether with a new goal
+        self._changes = ChangeRequests(spec.task.goal)
         self._link = Link(transport, spec.robot.command.timeout)
         self._ending: tuple[str, str] | None = None
         self._stood = 0.0  # time for which the vehicle has stood at the end of a contingency, s
@@ -290,7 +290,7 @@ class ControlLoop:
         for message in self._mailbox.take():
             if isinstance(message, Planned):
                 self._requests.answered(self._acts(now))
-                self._newest_map.decided()
+                self._changes.decided()
                 self._planned.append(message)
             elif isinstance(message, TaskTaken):
                 self._take_answer(now, message)
@@ -374,16 +374,16 @@ class ControlLoop:
         self._mailbox.send(DecisionRequest(now, number, self._sensed(), self._on_board.commitment))
 
     def _take_task(self, now: float) -> None:
-        """Hand a new goal or map to the planner: it gets ready for it before it decides the next time."""
+        """Hand the newest goal and map to the planner: it gets ready for them before it decides the next time."""
         goal, grid = self._tasks.take_goal(), self._tasks.take_map()
+        if goal is not None:
+            self._changes.take(goal)
         if problem := self._tasks.take_goal_problem():
             self._event(now, problem)
         if grid is not None:
             self._take_map(now, grid)
-        grid = self._newest_map.hand_over(self._acts(now))
-        if (goal is not None or grid is not None) and not self._mailbox.closed:
-            self._unanswered.append(goal is not None)
-            self._mailbox.send(TaskChange(goal, grid))
+        if not self._mailbox.closed and (change := self._changes.next(self._newest_map, self._acts(now))):
+            self._mailbox.send(change)
 
     def _take_map(self, now: float, grid: OccupancyMap) -> None:
         """Stop at once if a new map has something in the way of what is on board: the planner is not as quick."""
@@ -396,7 +396,7 @@ class ControlLoop:
 
     def _take_answer(self, now: float, answer: TaskTaken) -> None:
         """Take over the goal that the planner has taken; it may have refused one."""
-        self._unanswered.popleft()
+        self._changes.answered(answer)
         if answer.goal is not None:
             self._arrival.move(answer.goal)
         if answer.problem:
@@ -425,7 +425,7 @@ class ControlLoop:
 
     def _look_for_end(self, now: float, estimate: Estimate) -> None:
         watchdog = self._spec.robot.watchdog
-        if self._arrival.look(estimate.state, may_count=now > 0.0 and not any(self._unanswered)):
+        if self._arrival.look(estimate.state, self._changes.open_goals, may_count=now > 0.0):
             self._end(now, "success", "")
         elif wrong := self._tracker.response.trouble:  # which does not go away
             self._end(now, "stopped", wrong)

@@ -23,32 +23,24 @@ Pose: TypeAlias = tuple[float, float, float]
 
 
 class NewestMap:
-    """The newest map that has arrived, if any has, and whether the planner has it.
-
-    The planner gets one map at most for each decision: to get ready for one takes a good part of a cycle, and a robot
-    may send five in a second.
-    """
+    """The newest map that has arrived, if any has, and whether the planner has it."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
         self._map: OccupancyMap | None = None
         self._pose = (0.0, 0.0, 0.0)  # where the vehicle was when it arrived
-        self._handed_over, self._has_decided = math.inf, True  # when the planner got it; whether it has decided since
+        self._handed_over = math.inf  # when the planner got it
 
     def take(self, grid: OccupancyMap, estimate: Estimate) -> None:
         """Take a map that has just arrived, with the estimate of now."""
         self._map, self._handed_over, self._pose = grid, math.inf, pose_of(estimate.state, self._vehicle)
 
     def hand_over(self, time: float) -> OccupancyMap | None:
-        """Map that the planner gets at `time` (s), of the estimate of now; None if it has it, or must decide first."""
-        if self._map is None or self._handed_over < math.inf or not self._has_decided:
+        """Map that the planner gets at `time` (s), of the estimate of now; None if it has it."""
+        if self._map is None or self._handed_over < math.inf:
             return None
-        self._handed_over, self._has_decided = time, False
+        self._handed_over = time
         return self._map
-
-    def decided(self) -> None:
-        """Note that the planner has decided."""
-        self._has_decided = True
 
     def in_the_way_of(self, commitment: Commitment, time: float) -> tuple[float, float] | None:
         """Place (m) in the map into which a commitment leads after `time` (s), until its last reference ends.

@@ -100,20 +100,6 @@ def test_what_was_decided_after_the_planner_got_the_map_was_decided_with_it() ->
     assert newest.in_the_way_of(straight(5.0, 0.0, 7.0, 5.0), 5.0) is None
 
 
-def test_the_planner_gets_one_map_for_each_decision_which_is_the_newest() -> None:
-    newest, maps = NewestMap(MUSHR), [cells([(0.0, 0.1 * k)]) for k in range(4)]
-    assert newest.hand_over(4.0) is None
-    newest.take(maps[0], estimate(0.0, 5.0))
-    assert newest.hand_over(5.0) is maps[0]
-    for k in (1, 2):
-        newest.take(maps[k], estimate(0.0, 5.0 + 0.1 * k))
-        assert newest.hand_over(5.0 + 0.1 * k) is None
-    newest.decided()
-    assert newest.hand_over(5.3) is maps[2]
-    newest.decided()
-    assert newest.hand_over(5.4) is None
-
-
 @pytest.mark.parametrize("is_blocked", [True, False])
 def test_the_vehicle_stops_at_once_and_takes_no_plan_into_the_map_on_board(
     is_blocked: bool, monkeypatch: pytest.MonkeyPatch
@@ -141,23 +127,3 @@ def test_the_vehicle_stops_at_once_and_takes_no_plan_into_the_map_on_board(
     assert events[-1][1] == "the commitment of cycle 6 leads into the newest map at (0.02, {})".format(
         "0.82" if is_blocked else "1.26"
     )
-
-
-@pytest.mark.parametrize(("goal", "counts"), [(None, True), (NewGoal((1.0, 2.0)), False)])
-def test_the_goal_counts_as_reached_while_the_planner_gets_ready_for_a_map_but_not_for_another_goal(
-    goal: NewGoal | None, counts: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of a robot that sends maps often it nearly always does."""
-    control, _tracker, _guard = control_and_guard()
-    ended = list[str]()
-    monkeypatch.setattr(control, "_end", lambda _, outcome, __: ended.append(outcome))
-    monkeypatch.setattr(control, "_mailbox", SimpleNamespace(closed=False, send=lambda _: None))
-    monkeypatch.setattr(control, "_tasks", SimpleNamespace(
-        take_goal=lambda: goal, take_map=lambda: cells([]), take_goal_problem=lambda: "",
-    ))  # fmt: skip
-    control._take_task(1.0)
-    x, y = control._spec.task.goal.center
-    inside = np.array([x, y, 0.0, 0.0])
-    for k in range(3):
-        control._look_for_end(1.0 + 0.03 * k, Estimate(1.0, inside, 0.0))
-    assert ended == (["success"] if counts else [])

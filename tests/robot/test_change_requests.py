@@ -1,0 +1,120 @@
+"""Goals and maps that arrive often: the planner gets the newest once for each decision, and goals are reached."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from support.control import control_and_guard
+
+from kraft.driving.messages import Estimate
+from kraft.robot.change_requests import ChangeRequests
+from kraft.robot.newest_map import NewestMap
+from kraft.robot.protocol import Planned, TaskChange, TaskTaken
+from kraft.scenario import Goal, OccupancyMap
+from kraft.vehicles.load import load_vehicle
+
+MUSHR = load_vehicle("mushr")
+FIRST = (1.0, 8.0)
+
+
+def grid(origin: float = 0.0) -> OccupancyMap:
+    return OccupancyMap(np.zeros((3, 3), dtype=bool), 0.1, (origin, 0.0, 0.0), name="map")
+
+
+def estimate(time: float, x: float = 0.0, y: float = 0.0) -> Estimate:
+    return Estimate(time, np.array([x, y, 0.0, 0.0]), 0.0)
+
+
+def test_the_planner_gets_the_newest_goal_and_map_in_one_change_for_each_decision() -> None:
+    changes, newest, maps = ChangeRequests(Goal(FIRST, 0.25)), NewestMap(MUSHR), [grid(0.1 * k) for k in range(4)]
+    assert changes.next(newest, 4.0) is None
+    newest.take(maps[0], estimate(5.0))
+    assert changes.next(newest, 5.0) == TaskChange(None, maps[0])
+    for k in (1, 2):
+        newest.take(maps[k], estimate(5.0 + 0.1 * k))
+        changes.take((2.0, float(k)))
+        assert changes.next(newest, 5.0 + 0.1 * k) is None
+    changes.decided()
+    change = changes.next(newest, 5.3)
+    assert change is not None
+    assert change.goal == (2.0, 2.0)
+    assert change.map is maps[2]
+    changes.decided()
+    assert changes.next(newest, 5.4) is None
+
+
+def test_only_a_goal_that_is_not_the_newest_one_already_is_new() -> None:
+    changes, newest, second = ChangeRequests(Goal(FIRST, 0.25)), NewestMap(MUSHR), (2.0, 7.0)
+
+    def asked(goal: tuple[float, float]) -> TaskChange | None:
+        changes.take(goal)
+        changes.decided()
+        return changes.next(newest, 1.0)
+
+    assert asked(FIRST) is None
+    assert asked(second) == TaskChange(second, None)
+    assert asked(second) is None, "it is not answered yet"
+    assert changes.open_goals == [second]
+    changes.answered(TaskTaken(None, "it is in an obstacle"))
+    assert changes.open_goals == []
+    assert asked(second) == TaskChange(second, None), "it may be free now"
+    assert asked(FIRST) == TaskChange(FIRST, None), "the planner may take the other one"
+    changes.answered(TaskTaken(second))
+    changes.answered(TaskTaken(FIRST))
+    assert asked(FIRST) is None
+
+
+def test_a_goal_without_a_heading_is_another_one_at_the_place_of_one_that_has() -> None:
+    changes = ChangeRequests(Goal(FIRST, 0.25, heading=0.0, heading_tolerance=0.1))
+    changes.take(FIRST)
+    assert changes.next(NewestMap(MUSHR), 1.0) == TaskChange(FIRST, None)
+
+
+def test_of_goals_in_every_tick_the_controller_sends_the_planner_one_for_each_decision(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    control, _tracker, _guard = control_and_guard()
+    sent = list[Any]()
+    goals = iter([(2.0, 7.0 + 0.001 * k) for k in range(40)])
+    answers = list[Any]()
+    monkeypatch.setattr(control, "_mailbox", SimpleNamespace(closed=False, send=sent.append, take=lambda: answers))
+    monkeypatch.setattr(control, "_requests", SimpleNamespace(answered=lambda _: None))
+    monkeypatch.setattr(control, "_tasks", SimpleNamespace(
+        take_goal=lambda: next(goals), take_map=lambda: None, take_goal_problem=lambda: "",
+    ))  # fmt: skip
+    for k in range(40):
+        control._take_task(1.0 + 0.03 * k)
+    assert sent == [TaskChange((2.0, 7.0), None)]
+    answers.append(Planned(SimpleNamespace(number=1, time=100.0)))  # type: ignore[arg-type]
+    control._take_messages(3.0)
+    goals = iter([(2.0, 7.5)])
+    control._take_task(3.0)
+    assert sent[1:] == [TaskChange((2.0, 7.5), None)]
+
+
+@pytest.mark.parametrize(
+    ("goal", "counts"), [(None, True), ((1.0, 2.0), False), ((0.05, 0.0), True), ((0.0, 0.0), True)]
+)
+def test_the_goal_counts_as_reached_unless_the_planner_gets_ready_for_one_elsewhere(
+    goal: tuple[float, float] | None, counts: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a robot that sends maps often, or the place of what it follows, the planner nearly always gets ready.
+
+    The new goal is relative to the first one, in which the vehicle is.
+    """
+    control, _tracker, _guard = control_and_guard()
+    ended = list[str]()
+    monkeypatch.setattr(control, "_end", lambda _, outcome, __: ended.append(outcome))
+    monkeypatch.setattr(control, "_mailbox", SimpleNamespace(closed=False, send=lambda _: None))
+    x, y = control._spec.task.goal.center
+    place = None if goal is None else (x + goal[0], y + goal[1])
+    monkeypatch.setattr(control, "_tasks", SimpleNamespace(
+        take_goal=lambda: place, take_map=grid, take_goal_problem=lambda: "",
+    ))  # fmt: skip
+    control._take_task(1.0)
+    for k in range(3):
+        control._look_for_end(1.0 + 0.03 * k, estimate(1.0, x, y))
+    assert ended == (["success"] if counts else [])
