@@ -33,11 +33,11 @@ class ChangeRequests:
         if goal != [self._goal, *self.open_goals][-1]:
             self._new = goal
 
-    def next(self, newest_map: NewestMap, time: float) -> TaskChange | None:
-        """Change that the planner gets at `time` (s), of the estimate of now; None if there is none, or not yet."""
+    def next(self, newest_map: NewestMap, cycle: int) -> TaskChange | None:
+        """Change that the planner gets before it decides `cycle` or a later one; None if there is none, or not yet."""
         if not self._has_decided:
             return None
-        goal, grid = self._new, newest_map.hand_over(time)
+        goal, grid = self._new, newest_map.hand_over(cycle)
         if goal is None and grid is None:
             return None
         self._new, self._has_decided = None, False

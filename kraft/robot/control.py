@@ -327,7 +327,8 @@ class ControlLoop:
                 self._event(now, f"the commitment of cycle {cycle.number} came {late:.2f} s late")
                 continue
             self._health.decision(late=False)
-            if place := self._newest_map.in_the_way_of(cycle.commitment, self._acts(now)):
+            is_unknown = self._newest_map.is_unknown_to(cycle.number)
+            if is_unknown and (place := self._newest_map.in_the_way_of(cycle.commitment, self._acts(now))):
                 self._event(now, f"the commitment of cycle {cycle.number} {_leads_into(place)}")
             elif self._may_drive(now):
                 self._on_board.receive(cycle.commitment, self._tracker.estimate(now))
@@ -382,7 +383,7 @@ class ControlLoop:
             self._event(now, problem)
         if grid is not None:
             self._take_map(now, grid)
-        if not self._mailbox.closed and (change := self._changes.next(self._newest_map, self._acts(now))):
+        if not self._mailbox.closed and (change := self._changes.next(self._newest_map, self._requests.following)):
             self._mailbox.send(change)
 
     def _take_map(self, now: float, grid: OccupancyMap) -> None:

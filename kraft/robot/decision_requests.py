@@ -43,6 +43,11 @@ class DecisionRequests:
         """Whether to ask now: not while the planner works on the last request."""
         return self._asked is None and now >= self._next * self._cycle - self._lead
 
+    @property
+    def following(self) -> int:
+        """Least number of a cycle that may still be asked for."""
+        return self._next
+
     def ask(self, now: float) -> int:
         """Note a request; returns the number of the cycle to decide.  Those that begin too soon are left out."""
         number = max(self._next, math.ceil((now + LATEST * self._lead) / self._cycle))

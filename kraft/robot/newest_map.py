@@ -29,26 +29,34 @@ class NewestMap:
         self._vehicle = vehicle
         self._map: OccupancyMap | None = None
         self._pose = (0.0, 0.0, 0.0)  # where the vehicle was when it arrived
-        self._handed_over = math.inf  # when the planner got it
+        self._decided_with: float = math.inf  # first cycle that the planner decides with it
 
     def take(self, grid: OccupancyMap, estimate: Estimate) -> None:
         """Take a map that has just arrived, with the estimate of now."""
-        self._map, self._handed_over, self._pose = grid, math.inf, pose_of(estimate.state, self._vehicle)
+        self._map, self._decided_with, self._pose = grid, math.inf, pose_of(estimate.state, self._vehicle)
 
-    def hand_over(self, time: float) -> OccupancyMap | None:
-        """Map that the planner gets at `time` (s), of the estimate of now; None if it has it."""
-        if self._map is None or self._handed_over < math.inf:
+    def hand_over(self, cycle: int) -> OccupancyMap | None:
+        """Map that the planner gets before it decides `cycle` or a later one; None if it has it."""
+        if self._map is None or self._decided_with < math.inf:
             return None
-        self._handed_over = time
+        self._decided_with = cycle
         return self._map
+
+    def is_unknown_to(self, cycle: int) -> bool:
+        """Whether the planner decided a cycle without the map.
+
+        The time of the estimate of a decision does not tell it: it is ahead by the delay of commands, which the planner
+        identifies before the controller learns it.
+        """
+        return self._map is not None and cycle < self._decided_with
 
     def in_the_way_of(self, commitment: Commitment, time: float) -> tuple[float, float] | None:
         """Place (m) in the map into which a commitment leads after `time` (s), until its last reference ends.
 
-        None if there is no such place, or if the planner had the map when it decided.  What the vehicle touched when
-        the map arrived does not count: nothing would keep the vehicle away from that.
+        None if there is no such place.  What the vehicle touched when the map arrived does not count: nothing would
+        keep the vehicle away from that.
         """
-        if self._map is None or commitment.decided >= self._handed_over:
+        if self._map is None:
             return None
         footprint = self._vehicle.footprint
         for state in _states(commitment, time):

@@ -30,20 +30,20 @@ def estimate(time: float, x: float = 0.0, y: float = 0.0) -> Estimate:
 
 def test_the_planner_gets_the_newest_goal_and_map_in_one_change_for_each_decision() -> None:
     changes, newest, maps = ChangeRequests(Goal(FIRST, 0.25)), NewestMap(MUSHR), [grid(0.1 * k) for k in range(4)]
-    assert changes.next(newest, 4.0) is None
+    assert changes.next(newest, 4) is None
     newest.take(maps[0], estimate(5.0))
-    assert changes.next(newest, 5.0) == TaskChange(None, maps[0])
+    assert changes.next(newest, 5) == TaskChange(None, maps[0])
     for k in (1, 2):
         newest.take(maps[k], estimate(5.0 + 0.1 * k))
         changes.take((2.0, float(k)))
-        assert changes.next(newest, 5.0 + 0.1 * k) is None
+        assert changes.next(newest, 6) is None
     changes.decided()
-    change = changes.next(newest, 5.3)
+    change = changes.next(newest, 6)
     assert change is not None
     assert change.goal == (2.0, 2.0)
     assert change.map is maps[2]
     changes.decided()
-    assert changes.next(newest, 5.4) is None
+    assert changes.next(newest, 7) is None
 
 
 def test_only_a_goal_that_is_not_the_newest_one_already_is_new() -> None:
@@ -52,7 +52,7 @@ def test_only_a_goal_that_is_not_the_newest_one_already_is_new() -> None:
     def asked(goal: tuple[float, float]) -> TaskChange | None:
         changes.take(goal)
         changes.decided()
-        return changes.next(newest, 1.0)
+        return changes.next(newest, 1)
 
     assert asked(FIRST) is None
     assert asked(second) == TaskChange(second, None)
@@ -70,7 +70,7 @@ def test_only_a_goal_that_is_not_the_newest_one_already_is_new() -> None:
 def test_a_goal_without_a_heading_is_another_one_at_the_place_of_one_that_has() -> None:
     changes = ChangeRequests(Goal(FIRST, 0.25, heading=0.0, heading_tolerance=0.1))
     changes.take(FIRST)
-    assert changes.next(NewestMap(MUSHR), 1.0) == TaskChange(FIRST, None)
+    assert changes.next(NewestMap(MUSHR), 1) == TaskChange(FIRST, None)
 
 
 def test_of_goals_in_every_tick_the_controller_sends_the_planner_one_for_each_decision(
@@ -81,7 +81,7 @@ def test_of_goals_in_every_tick_the_controller_sends_the_planner_one_for_each_de
     goals = iter([(2.0, 7.0 + 0.001 * k) for k in range(40)])
     answers = list[Any]()
     monkeypatch.setattr(control, "_mailbox", SimpleNamespace(closed=False, send=sent.append, take=lambda: answers))
-    monkeypatch.setattr(control, "_requests", SimpleNamespace(answered=lambda _: None))
+    monkeypatch.setattr(control, "_requests", SimpleNamespace(answered=lambda _: None, following=1))
     monkeypatch.setattr(control, "_tasks", SimpleNamespace(
         take_goal=lambda: next(goals), take_map=lambda: None, take_goal_problem=lambda: "",
     ))  # fmt: skip
