@@ -391,7 +391,7 @@ class ControlLoop:
         estimate = self._tracker.estimate(now)
         self._newest_map.take(grid, estimate)
         place = self._newest_map.in_the_way_of(self._on_board.commitment, estimate.time)
-        if place and self._ending is None and self._since_stop is None:
+        if place and not self._on_board.is_stopping:  # nor is it where the planner has ended: the plan is driven on
             self._on_board.stop(estimate)
             self._stopped(now, f"the way {_leads_into(place)}")
 

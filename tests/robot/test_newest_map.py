@@ -131,3 +131,21 @@ def test_the_vehicle_stops_at_once_and_takes_no_plan_into_the_map_on_board(
     assert events[-1][1] == "the commitment of cycle {} leads into the newest map at (0.02, {})".format(
         number, "0.82" if is_blocked else "1.26"
     )
+
+
+def test_the_vehicle_stops_for_a_map_also_while_it_drives_on_after_the_end_of_the_planner(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    control, tracker, _guard = control_and_guard()
+    monkeypatch.setattr(control, "_mailbox", SimpleNamespace(closed=True, send=lambda _: None))
+    monkeypatch.setattr(tracker, "estimate", lambda now: estimate(0.0, now))
+    tracker.on_board.mirror(straight(5.0, 0.0, 7.0, 4.7), 5.0)
+    control._end(5.05, "stopped", "the planner's process has ended")
+    assert not tracker.on_board.is_stopping
+    for place, is_stopping in ((FRONT + 1.5, False), (0.8, True)):
+        grid = cells([(0.0, place)])
+        monkeypatch.setattr(control, "_tasks", SimpleNamespace(
+            take_goal=lambda: None, take_map=lambda grid=grid: grid, take_goal_problem=lambda: "",
+        ))  # fmt: skip
+        control._take_task(5.1)
+        assert tracker.on_board.is_stopping == is_stopping
