@@ -93,7 +93,7 @@ class ControlLoop:
         self._observations: list[Observation] = []
         self._commands: list[tuple[float, Floats, Floats]] = []
         self._arrival, self._newest_map = Arrival(spec.task.goal, spec.vehicle), NewestMap(spec.vehicle)
-        self._changes = ChangeRequests(spec.task.goal)
+        self._changes = ChangeRequests(tracker.settings.cycle, spec.task.goal)
         self._link = Link(transport, spec.robot.command.timeout)
         self._ending: tuple[str, str] | None = None
         self._stood = 0.0  # time for which the vehicle has stood at the end of a contingency, s

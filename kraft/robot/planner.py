@@ -145,8 +145,9 @@ class Planner:
         self._solvers = Solvers.of(self._task, self._spec.vehicle, self._spec.method.planner, blocked)
         self._solvers.load(self._state)
         self._replanner.set_solvers(self._solvers, blocked)
-        self._changing += perf_counter() - began
-        return TaskTaken(goal, problem)
+        taken = perf_counter() - began
+        self._changing += taken
+        return TaskTaken(goal, problem, taken)
 
     def _goal_problem(self, task: Task) -> str:
         """Why the vehicle cannot get to the goal of a task; empty if nothing is known against it."""

@@ -140,10 +140,14 @@ class TaskChange:
 
 @dataclass(frozen=True)
 class TaskTaken:
-    """Answer to a change: the goal that holds from now on if it is new, and why one cannot be reached."""
+    """Answer to a change: the goal that holds from now on if it is new, and why one cannot be reached.
+
+    `seconds` is the time that it took.
+    """
 
     goal: NewGoal | None
     problem: str = ""
+    seconds: float = 0.0
 
 
 @dataclass(frozen=True)

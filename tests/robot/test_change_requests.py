@@ -29,7 +29,7 @@ def estimate(time: float, x: float = 0.0, y: float = 0.0) -> Estimate:
 
 
 def test_the_planner_gets_the_newest_goal_and_map_in_one_change_for_each_decision() -> None:
-    changes, newest, maps = ChangeRequests(Goal(FIRST, 0.25)), NewestMap(MUSHR), [grid(0.1 * k) for k in range(4)]
+    changes, newest, maps = ChangeRequests(1.0, Goal(FIRST, 0.25)), NewestMap(MUSHR), [grid(0.1 * k) for k in range(4)]
     assert changes.next(newest, 4) is None
     newest.take(maps[0], estimate(5.0))
     assert changes.next(newest, 5) == TaskChange(None, maps[0])
@@ -38,16 +38,21 @@ def test_the_planner_gets_the_newest_goal_and_map_in_one_change_for_each_decisio
         changes.take((2.0, float(k)))
         assert changes.next(newest, 6) is None
     changes.decided()
+    assert changes.next(newest, 6) is None, "it was asked for before"
+    changes.answered(TaskTaken(None))
+    assert changes.next(newest, 6) is None
+    changes.decided()
     change = changes.next(newest, 6)
     assert change is not None
     assert change.goal == (2.0, 2.0)
     assert change.map is maps[2]
+    changes.answered(TaskTaken((2.0, 2.0)))
     changes.decided()
     assert changes.next(newest, 7) is None
 
 
 def test_only_a_goal_that_is_not_the_newest_one_already_is_new() -> None:
-    changes, newest, second = ChangeRequests(Goal(FIRST, 0.25)), NewestMap(MUSHR), (2.0, 7.0)
+    changes, newest, second = ChangeRequests(1.0, Goal(FIRST, 0.25)), NewestMap(MUSHR), (2.0, 7.0)
 
     def asked(goal: tuple[float, float]) -> TaskChange | None:
         changes.take(goal)
@@ -61,14 +66,27 @@ def test_only_a_goal_that_is_not_the_newest_one_already_is_new() -> None:
     changes.answered(TaskTaken(None, "it is in an obstacle"))
     assert changes.open_goals == []
     assert asked(second) == TaskChange(second, None), "it may be free now"
-    assert asked(FIRST) == TaskChange(FIRST, None), "the planner may take the other one"
-    changes.answered(TaskTaken(second))
-    changes.answered(TaskTaken(FIRST))
     assert asked(FIRST) is None
+    assert changes.open_goals == [second, FIRST], "the planner may take the other one"
+    changes.answered(TaskTaken(second))
+    assert asked(FIRST) == TaskChange(FIRST, None)
+
+
+@pytest.mark.parametrize(("seconds", "decisions"), [(0.1, 1), (0.8, 4)])
+def test_a_change_that_makes_one_decision_late_is_followed_by_decisions_in_time(seconds: float, decisions: int) -> None:
+    changes, newest = ChangeRequests(1.0, Goal(FIRST, 0.25)), NewestMap(MUSHR)
+    newest.take(grid(), estimate(5.0))
+    assert changes.next(newest, 5) is not None
+    changes.answered(TaskTaken(None, seconds=seconds))
+    newest.take(grid(0.1), estimate(6.0))
+    for _ in range(decisions):
+        assert changes.next(newest, 6) is None
+        changes.decided()
+    assert changes.next(newest, 6) is not None
 
 
 def test_a_goal_without_a_heading_is_another_one_at_the_place_of_one_that_has() -> None:
-    changes = ChangeRequests(Goal(FIRST, 0.25, heading=0.0, heading_tolerance=0.1))
+    changes = ChangeRequests(1.0, Goal(FIRST, 0.25, heading=0.0, heading_tolerance=0.1))
     changes.take(FIRST)
     assert changes.next(NewestMap(MUSHR), 1) == TaskChange(FIRST, None)
 
@@ -88,6 +106,7 @@ def test_of_goals_in_every_tick_the_controller_sends_the_planner_one_for_each_de
     for k in range(40):
         control._take_task(1.0 + 0.03 * k)
     assert sent == [TaskChange((2.0, 7.0), None)]
+    answers.append(TaskTaken((2.0, 7.0)))
     answers.append(Planned(SimpleNamespace(number=1, time=100.0)))  # type: ignore[arg-type]
     control._take_messages(3.0)
     goals = iter([(2.0, 7.5)])
