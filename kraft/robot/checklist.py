@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from kraft.planning.feasibility import footprint_hit
+from kraft.planning.feasibility import footprint_hit, goal_hit
 from kraft.robot.announcement import Announced
 from kraft.robot.command import unit_problem, unit_warnings
 from kraft.robot.connect import open_transport
@@ -97,7 +97,9 @@ class Checklist:
         checks += [self._check_dead_man(), self._check_commands(peers), *self._check_map()]
         grid = None if self._tasks is None else self._tasks.take_map()
         checks += self._check_scenario(announced, spec, has_map=grid is not None) if poses else []
-        checks += [*_check_bounds(spec.task), *_check_place(_mean_pose(poses), with_map(spec.task, grid), spec.vehicle)]
+        mapped = with_map(spec.task, grid)
+        checks += [*_check_bounds(spec.task), *_check_place(_mean_pose(poses), mapped, spec.vehicle)]
+        checks += _check_goal(mapped, spec.vehicle)
         checks += [_check_model(spec.vehicle, is_simulated=self._robot.simulated), _check_priority()]
         checks += [*_check_point(spec.vehicle, self._robot), *_check_units(spec.vehicle, self._robot)]
         if not peers.publishers:
@@ -231,6 +233,12 @@ def _check_place(pose: Pose | None, task: Task, vehicle: Vehicle) -> list[Check]
     """A warning if the vehicle stands in an obstacle of the scenario or of its map, or outside of the bounds."""
     hit = None if pose is None else footprint_hit(task, vehicle, pose)
     return [Check("place", "warning", f"where it stands, the vehicle {hit}")] if hit else []
+
+
+def _check_goal(task: Task, vehicle: Vehicle) -> list[Check]:
+    """A warning if the goal is in an obstacle of the robot's map: no plan reaches it until one of them changes."""
+    (x, y), hit = task.goal.center, goal_hit(task, vehicle)
+    return [Check("goal", "warning", f"the goal ({x:g}, {y:g}) {hit}")] if hit else []
 
 
 def _check_bounds(task: Task) -> list[Check]:

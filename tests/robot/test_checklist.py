@@ -12,19 +12,20 @@ from dataclasses import replace
 from multiprocessing import Pipe
 from typing import Any
 
+import numpy as np
 import pytest
 
 from kraft.driving.method import load_method
 from kraft.robot import checklist
-from kraft.robot.checklist import Checklist, _check_model, _check_point
+from kraft.robot.checklist import Checklist, _check_goal, _check_model, _check_point
 from kraft.robot.inputs import Inputs
 from kraft.robot.loopback import LoopbackBus, LoopbackNode
-from kraft.robot.maps import receive_maps
+from kraft.robot.maps import receive_maps, with_map
 from kraft.robot.messages import ACKERMANN, BOOL, GRID, JOY, POSE, header, make, pose_fields
 from kraft.robot.protocol import Check, Checked, DriveSpec, Mailbox, NewGoal
 from kraft.robot.robot_file import Robot, load_robot
 from kraft.robot.task_inputs import TaskInputs
-from kraft.scenario import load_scenario
+from kraft.scenario import OccupancyMap, load_scenario
 from kraft.vehicles.load import load_vehicle
 
 POSE_INPUT = {"topic": "/pose", "type": POSE}
@@ -329,3 +330,13 @@ def test_a_scenario_that_begins_elsewhere_is_the_one_to_check_against() -> None:
     with sending(poses(), bus):
         found = checklist_of(robot(), here, spec).run(replace(spec, task=moved), lambda: False, lambda _: None)
     assert states(found)["start"] == "problem"
+
+
+@pytest.mark.parametrize(("value", "warns"), [(False, False), (True, True)])
+def test_a_goal_in_an_obstacle_of_the_robots_map_is_warned_of(value: bool, warns: bool) -> None:
+    task, vehicle = load_scenario("boxes").task(), load_vehicle("mushr")
+    x, y = task.goal.center
+    grid = OccupancyMap(np.full((2, 2), value), 0.1, (x - 0.1, y - 0.1, 0.0), name="map")
+    checks = _check_goal(with_map(task, grid), vehicle)
+    assert [(each.name, each.state) for each in checks] == ([("goal", "warning")] if warns else [])
+    assert all("in collision with 'map'" in each.detail for each in checks)
