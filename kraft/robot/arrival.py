@@ -27,12 +27,12 @@ class Arrival:
         """Take another goal."""
         self._goal = goal.moved(self._goal)
 
-    def look(self, state: Floats, open_goals: Sequence[tuple[float, float]], *, may_count: bool) -> bool:
+    def look(self, state: Floats, open_goals: Sequence[NewGoal], *, may_count: bool) -> bool:
         """Whether the goal is reached in this tick, with an estimated state (nx,); only ticks that `may_count` do.
 
-        Whichever of `open_goals` (m) the planner takes, the state has to be in it too.
+        Whichever of `open_goals` the planner takes, the state has to be in it too.
         """
-        goals = [self._goal, *(moved_goal(self._goal, center) for center in open_goals)]
+        goals = [self._goal, *(each.moved(self._goal) for each in open_goals)]
         is_inside = may_count and all(self._is_inside(goal, state) for goal in goals)
         self._ticks = self._ticks + 1 if is_inside else 0
         return self._ticks >= TICKS

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections import deque
-from typing import Final, TypeAlias
+from typing import Final
 
 from kraft.robot.health import DECISIONS
 from kraft.robot.newest_map import NewestMap
-from kraft.robot.protocol import TaskChange, TaskTaken
+from kraft.robot.protocol import NewGoal, TaskChange, TaskTaken
 from kraft.scenario import Goal
 
-Place: TypeAlias = tuple[float, float]
 LONG: Final = 0.5
 """Share of a cycle beyond which a change makes the next decision late."""
 
@@ -25,18 +23,18 @@ class ChangeRequests:
 
     Args:
         cycle: duration of a cycle, s.
-        goal: goal of the task.  One that arrives has no heading, and is another one even at the place of one that has.
+        goal: goal of the task.
     """
 
     def __init__(self, cycle: float, goal: Goal) -> None:
         self._cycle = cycle
-        self._goal = goal.center if goal.heading is None else None  # that holds
-        self._new: Place | None = None  # the newest one, if the planner has not got it yet
-        self._unanswered = deque[Place | None]()  # goals of the changes that the planner has not answered
+        self._goal = NewGoal(goal.center, goal.heading, goal.heading_tolerance)  # that holds
+        self._new: NewGoal | None = None  # the newest one, if the planner has not got it yet
+        self._unanswered: TaskChange | None = None  # the change that the planner has not answered
         self._decisions = 0  # number of decisions until the next change
 
-    def take(self, goal: Place) -> None:
-        """Take a goal (m) that has arrived, unless it is the newest one already."""
+    def take(self, goal: NewGoal) -> None:
+        """Take a goal that has arrived, unless it is the newest one already."""
         if goal != [self._goal, *self.open_goals][-1]:
             self._new = goal
 
@@ -48,8 +46,8 @@ class ChangeRequests:
         if goal is None and grid is None:
             return None
         self._new, self._decisions = None, 1
-        self._unanswered.append(goal)
-        return TaskChange(goal, grid)
+        self._unanswered = TaskChange(goal, grid)
+        return self._unanswered
 
     def decided(self) -> None:
         """Note that the planner has decided."""
@@ -57,13 +55,14 @@ class ChangeRequests:
             self._decisions = max(0, self._decisions - 1)
 
     def answered(self, answer: TaskTaken) -> None:
-        """Note the answer to the oldest change that has none."""
-        self._unanswered.popleft()
+        """Note the answer to the change."""
+        self._unanswered = None
         if answer.seconds > LONG * self._cycle:
             self._decisions = DECISIONS
         self._goal = self._goal if answer.goal is None else answer.goal
 
     @property
-    def open_goals(self) -> list[Place]:
-        """Goals (m), the newest one last, of which the planner has not told yet whether they hold."""
-        return [goal for goal in (*self._unanswered, self._new) if goal is not None]
+    def open_goals(self) -> list[NewGoal]:
+        """Goals, the newest one last, of which the planner has not told yet whether they hold."""
+        asked = None if self._unanswered is None else self._unanswered.goal
+        return [goal for goal in (asked, self._new) if goal is not None]

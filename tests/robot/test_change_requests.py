@@ -12,12 +12,13 @@ from support.control import control_and_guard
 from kraft.driving.messages import Estimate
 from kraft.robot.change_requests import ChangeRequests
 from kraft.robot.newest_map import NewestMap
-from kraft.robot.protocol import Planned, TaskChange, TaskTaken
+from kraft.robot.protocol import NewGoal, Planned, TaskChange, TaskTaken
 from kraft.scenario import Goal, OccupancyMap
 from kraft.vehicles.load import load_vehicle
 
 MUSHR = load_vehicle("mushr")
-FIRST = (1.0, 8.0)
+FIRST = NewGoal((1.0, 8.0))
+GOAL = FIRST.moved(Goal((0.0, 0.0), 0.25))
 
 
 def grid(origin: float = 0.0) -> OccupancyMap:
@@ -29,13 +30,13 @@ def estimate(time: float, x: float = 0.0, y: float = 0.0) -> Estimate:
 
 
 def test_the_planner_gets_the_newest_goal_and_map_in_one_change_for_each_decision() -> None:
-    changes, newest, maps = ChangeRequests(1.0, Goal(FIRST, 0.25)), NewestMap(MUSHR), [grid(0.1 * k) for k in range(4)]
+    changes, newest, maps = ChangeRequests(1.0, GOAL), NewestMap(MUSHR), [grid(0.1 * k) for k in range(4)]
     assert changes.next(newest, 4) is None
     newest.take(maps[0], estimate(5.0))
     assert changes.next(newest, 5) == TaskChange(None, maps[0])
     for k in (1, 2):
         newest.take(maps[k], estimate(5.0 + 0.1 * k))
-        changes.take((2.0, float(k)))
+        changes.take(NewGoal((2.0, float(k))))
         assert changes.next(newest, 6) is None
     changes.decided()
     assert changes.next(newest, 6) is None, "it was asked for before"
@@ -44,17 +45,17 @@ def test_the_planner_gets_the_newest_goal_and_map_in_one_change_for_each_decisio
     changes.decided()
     change = changes.next(newest, 6)
     assert change is not None
-    assert change.goal == (2.0, 2.0)
+    assert change.goal == NewGoal((2.0, 2.0))
     assert change.map is maps[2]
-    changes.answered(TaskTaken((2.0, 2.0)))
+    changes.answered(TaskTaken(NewGoal((2.0, 2.0))))
     changes.decided()
     assert changes.next(newest, 7) is None
 
 
 def test_only_a_goal_that_is_not_the_newest_one_already_is_new() -> None:
-    changes, newest, second = ChangeRequests(1.0, Goal(FIRST, 0.25)), NewestMap(MUSHR), (2.0, 7.0)
+    changes, newest, second = ChangeRequests(1.0, GOAL), NewestMap(MUSHR), NewGoal((2.0, 7.0))
 
-    def asked(goal: tuple[float, float]) -> TaskChange | None:
+    def asked(goal: NewGoal) -> TaskChange | None:
         changes.take(goal)
         changes.decided()
         return changes.next(newest, 1)
@@ -74,7 +75,7 @@ def test_only_a_goal_that_is_not_the_newest_one_already_is_new() -> None:
 
 @pytest.mark.parametrize(("seconds", "decisions"), [(0.1, 1), (0.8, 4)])
 def test_a_change_that_makes_one_decision_late_is_followed_by_decisions_in_time(seconds: float, decisions: int) -> None:
-    changes, newest = ChangeRequests(1.0, Goal(FIRST, 0.25)), NewestMap(MUSHR)
+    changes, newest = ChangeRequests(1.0, GOAL), NewestMap(MUSHR)
     newest.take(grid(), estimate(5.0))
     assert changes.next(newest, 5) is not None
     changes.answered(TaskTaken(None, seconds=seconds))
@@ -86,7 +87,7 @@ def test_a_change_that_makes_one_decision_late_is_followed_by_decisions_in_time(
 
 
 def test_a_goal_without_a_heading_is_another_one_at_the_place_of_one_that_has() -> None:
-    changes = ChangeRequests(1.0, Goal(FIRST, 0.25, heading=0.0, heading_tolerance=0.1))
+    changes = ChangeRequests(1.0, NewGoal(FIRST.center, 0.0, 0.1).moved(GOAL))
     changes.take(FIRST)
     assert changes.next(NewestMap(MUSHR), 1) == TaskChange(FIRST, None)
 
@@ -96,7 +97,7 @@ def test_of_goals_in_every_tick_the_controller_sends_the_planner_one_for_each_de
 ) -> None:
     control, _tracker, _guard = control_and_guard()
     sent = list[Any]()
-    goals = iter([(2.0, 7.0 + 0.001 * k) for k in range(40)])
+    goals = iter([NewGoal((2.0, 7.0 + 0.001 * k)) for k in range(40)])
     answers = list[Any]()
     monkeypatch.setattr(control, "_mailbox", SimpleNamespace(closed=False, send=sent.append, take=lambda: answers))
     monkeypatch.setattr(control, "_requests", SimpleNamespace(answered=lambda _: None, following=1))
@@ -105,13 +106,13 @@ def test_of_goals_in_every_tick_the_controller_sends_the_planner_one_for_each_de
     ))  # fmt: skip
     for k in range(40):
         control._take_task(1.0 + 0.03 * k)
-    assert sent == [TaskChange((2.0, 7.0), None)]
-    answers.append(TaskTaken((2.0, 7.0)))
+    assert sent == [TaskChange(NewGoal((2.0, 7.0)), None)]
+    answers.append(TaskTaken(NewGoal((2.0, 7.0))))
     answers.append(Planned(SimpleNamespace(number=1, time=100.0)))  # type: ignore[arg-type]
     control._take_messages(3.0)
-    goals = iter([(2.0, 7.5)])
+    goals = iter([NewGoal((2.0, 7.5))])
     control._take_task(3.0)
-    assert sent[1:] == [TaskChange((2.0, 7.5), None)]
+    assert sent[1:] == [TaskChange(NewGoal((2.0, 7.5)), None)]
 
 
 @pytest.mark.parametrize(
@@ -129,7 +130,7 @@ def test_the_goal_counts_as_reached_unless_the_planner_gets_ready_for_one_elsewh
     monkeypatch.setattr(control, "_end", lambda _, outcome, __: ended.append(outcome))
     monkeypatch.setattr(control, "_mailbox", SimpleNamespace(closed=False, send=lambda _: None))
     x, y = control._spec.task.goal.center
-    place = None if goal is None else (x + goal[0], y + goal[1])
+    place = None if goal is None else NewGoal((x + goal[0], y + goal[1]))
     monkeypatch.setattr(control, "_tasks", SimpleNamespace(
         take_goal=lambda: place, take_map=grid, take_goal_problem=lambda: "",
     ))  # fmt: skip

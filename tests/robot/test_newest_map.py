@@ -13,7 +13,7 @@ from support.control import control_and_guard
 
 from kraft.driving.messages import Commitment, Estimate, Reference, ReferenceKind
 from kraft.robot.newest_map import NewestMap
-from kraft.robot.protocol import NewGoal, Planned
+from kraft.robot.protocol import Planned
 from kraft.scenario import OccupancyMap
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.arrays import Floats
