@@ -70,15 +70,17 @@ class Proposer:
         self.levels.bound = bound
         self.levels.require()
 
-    def propose(self, number: int, root: Floats, previous: Plan | None) -> Proposal:
+    def propose(self, number: int, root: Floats, previous: Plan | None, taken: float = 0.0) -> Proposal:
         """Plan for cycle `number` from the predicted root.
 
         Args:
             number: index of the cycle.
             root: predicted state at the start of the cycle (nx,).
             previous: plan that is executed until then; its remainder is retained.
+            taken: time of the cycle that something else takes, by which the search is shorter by the clock, s.
         """
         began, settings = clock.perf_counter(), self.search.settings
+        self.search.budget.taken = taken
         region = goal_region(self.search.solvers.goal, self.dirt.vehicle, root)
         for dirt in (self.search.solvers.planning, self.search.solvers.checking):
             dirt.set_goal_region(*region)

@@ -218,8 +218,7 @@ class Replanner:
         if not self._one_shot:
             decision = self._decision
             root = self._with_room(decision.predicted.final_state)
-            self.proposer.search.budget.taken = taken
-            self.proposal = self.proposer.propose(self._number, root, decision.plan)
+            self.proposal = self.proposer.propose(self._number, root, decision.plan, taken)
 
     def _look_for_blockage(self, estimate: Estimate, current: Commitment) -> tuple[float, float] | None:
         """Plan round what blocks the vehicle, which the map does not have; forget it all where that leaves no way.

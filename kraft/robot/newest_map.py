@@ -6,11 +6,12 @@ The planner plans round it, but its next decision acts up to a cycle after the m
 from __future__ import annotations
 
 import math
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
 
 from kraft.driving.messages import Commitment, Estimate
+from kraft.robot.poses import Pose
 from kraft.scenario import OccupancyMap
 from ompl_ext.arrays import Bools, Floats, Matrix
 from ompl_ext.poses import pose_of
@@ -18,8 +19,6 @@ from ompl_ext.vehicle import Footprint, Vehicle
 
 STEP: Final = 0.05
 """Time between two poses of a motion that are compared with the map, s."""
-
-Pose: TypeAlias = tuple[float, float, float]
 
 
 class NewestMap:
@@ -96,9 +95,4 @@ def _states(commitment: Commitment, begin: float) -> list[Floats]:
 def _occupied_near(grid: OccupancyMap, footprint: Footprint, pose: Pose) -> Matrix:
     """Centres (n, 2) of the occupied cells that the vehicle at a pose may touch, m."""
     (x, y, _), reach = pose, footprint.reach + grid.resolution
-    near = grid.cropped((x - reach, x + reach), (y - reach, y + reach))
-    x0, y0, yaw = near.origin
-    c, s = math.cos(yaw), math.sin(yaw)
-    along = (np.argwhere(near.occupied)[:, ::-1] + 0.5) * near.resolution
-    centres: Matrix = along @ np.array([[c, s], [-s, c]]) + (x0, y0)
-    return centres
+    return grid.cropped((x - reach, x + reach), (y - reach, y + reach)).occupied_centres

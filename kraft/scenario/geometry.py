@@ -123,11 +123,20 @@ class OccupancyMap:
     @property
     def corners(self) -> NDArray[np.float64]:
         """Corners (4, 2) of the whole map, counter-clockwise from its origin, m."""
+        rows, columns = self.occupied.shape
+        return self._placed(np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]]))
+
+    @property
+    def occupied_centres(self) -> NDArray[np.float64]:
+        """Centres (n, 2) of the occupied cells, m."""
+        rows, columns = np.nonzero(self.occupied)
+        return self._placed(np.column_stack([columns, rows]) + 0.5)
+
+    def _placed(self, cells: NDArray[np.floating | np.integer]) -> NDArray[np.float64]:
+        """Points (n, 2) in m that are so many cells (n, 2) along the columns and the rows."""
         x0, y0, yaw = self.origin
         c, s = math.cos(yaw), math.sin(yaw)
-        rows, columns = self.occupied.shape
-        along = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]]) * self.resolution
-        placed: NDArray[np.float64] = along @ np.array([[c, s], [-s, c]]) + (x0, y0)
+        placed: NDArray[np.float64] = (cells * self.resolution) @ np.array([[c, s], [-s, c]]) + (x0, y0)
         return placed
 
     @property

@@ -229,12 +229,16 @@ def resolve(request: DriveRequest) -> DriveSpec:
         scenario.task(), on_the_clock(method), limited(vehicle, robot), robot, scenario.trial.timeout, request.seed,
         request.out, camera,
     )  # fmt: skip
+    problems = list[Diagnostic]()
     if late := robot.too_slow(1.0 / spec.period):
         problem = f"{spec.method.name} sends {1.0 / spec.period:g} a second, {late[0]}"
-        raise InputError([robot.source.diagnostic("command.timeout", problem, f"{late[1]} (rate_hz)")])
+        problems.append(robot.source.diagnostic("command.timeout", problem, f"{late[1]} (rate_hz)"))
     if robot.goal is not None and robot.goal.heading_tolerance_deg is not None and vehicle.index("theta") < 0:
         problem, expected = f"{vehicle.name} has no heading: its state has no component theta", "expected it left out"
-        raise InputError([robot.source.diagnostic("goal.heading_tolerance_deg", problem, expected, code=Code.MISMATCH)])
+        key = "goal.heading_tolerance_deg"
+        problems.append(robot.source.diagnostic(key, problem, expected, code=Code.MISMATCH))
+    if problems:
+        raise InputError(problems)
     return spec
 
 

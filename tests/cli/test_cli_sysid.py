@@ -14,7 +14,6 @@ from support.logs import REAL_LOGS, needs_real_logs
 from support.paths import ROOT
 from support.recorded import FOUR, IDENTIFY, weaken
 
-from kraft.errors import InputError
 from kraft.recording import experiment
 from kraft.sysid import factor_graph as compilation
 from kraft.sysid.fit_progress import FitProgress
@@ -257,19 +256,6 @@ def test_where_no_extra_is_shown_beside_a_frozen_model_nothing_is_identified(
     assert content["objections"] == [why]
     assert err.splitlines()[-1] == f"error: not identified: {why}; my.yaml was not written"
     assert (folder / "my.png").exists()
-
-
-def test_a_plot_that_cannot_be_written_does_not_cost_the_vehicle_file(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def full(*_: object) -> None:
-        raise InputError.of("my.png", "cannot be written: No space left on device", "expected enough space")
-
-    monkeypatch.setattr("kraft_cli.work.sysid._draw", full)
-    options = ["--model", "mushr-lag", "--extras", "none", "--out", "my.yaml", "--plot", "my.png"]
-    assert main(["sysid", "logs", *options]) == 2
-    assert "my.png: cannot be written" in capsys.readouterr().err
-    assert Path("my.yaml").exists()
 
 
 def test_with_few_logs_none_is_held_out_and_that_is_said(capsys: pytest.CaptureFixture[str]) -> None:

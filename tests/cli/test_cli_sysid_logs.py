@@ -1,4 +1,4 @@
-"""`kraft sysid` and its logs: which ones are left out, what it says about them, and what it never reads."""
+"""`kraft sysid` and its files: which logs are left out, what it says about them, what it never reads, what it writes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from support.recorded import FOUR
 
+from kraft.errors import InputError
 from kraft.vehicles.config import load_vehicle_config
 from kraft_cli.main import main
 from kraft_cli.work import sysid_fit as module
@@ -214,3 +215,16 @@ def test_a_problem_that_many_logs_have_with_other_numbers_is_said_once(
     assert main(["sysid", "logs", "--model", "mushr-lag"]) == 1
     (line,) = [line for line in said(capsys) if "poses.csv" in line]
     assert line.endswith("; the same with other numbers in 7 other logs (-v lists them)")
+
+
+def test_a_plot_that_cannot_be_written_does_not_cost_the_vehicle_file(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise InputError.of("my.png", "cannot be written: No space left on device", "expected enough space")
+
+    monkeypatch.setattr("kraft_cli.work.sysid._draw", full)
+    options = ["--model", "mushr-lag", "--extras", "none", "--out", "my.yaml", "--plot", "my.png"]
+    assert main(["sysid", "logs", *options]) == 2
+    assert "my.png: cannot be written" in capsys.readouterr().err
+    assert Path("my.yaml").exists()

@@ -22,9 +22,9 @@ from kraft.robot.inputs import Inputs
 from kraft.robot.loopback import LoopbackBus
 from kraft.robot.maps import occupancy_map
 from kraft.robot.messages import BOOL, GRID, make, pose_fields
-from kraft.robot.planner import Planner, changed
+from kraft.robot.planner import changed
 from kraft.robot.poses import Clocks, PoseGuard, Received, units_hint
-from kraft.robot.protocol import BeginOrder, DecisionRequest, DriveSpec, NewGoal, Sense, TaskChange
+from kraft.robot.protocol import BeginOrder, DriveSpec
 from kraft.robot.robot_file import Robot
 from kraft.robot.timebase import TopicClock
 from kraft.robot.tracker import Tracker
@@ -32,7 +32,6 @@ from kraft.robot.world import clock_message
 from kraft.scenario import OccupancyMap, load_scenario
 from kraft.vehicles.identification_record import CommandScale
 from kraft.vehicles.load import load_vehicle
-from ompl_ext.poses import pose_of
 from ompl_ext.vehicle import Vehicle
 
 LATENCY = 0.01
@@ -376,77 +375,6 @@ def test_after_a_stop_the_car_is_kept_where_it_stands() -> None:
     assert reference is stop
     assert np.array_equal(kept, tracker.model.rest)
     assert not np.array_equal(corrected, tracker.model.rest)
-
-
-@pytest.mark.slow
-def test_a_plan_that_a_new_map_forbids_is_not_committed() -> None:
-    """It was planned before the map came, and the map came before it was decided."""
-    task, vehicle = load_scenario("boxes").task(), load_vehicle("mushr-force")
-    spec = DriveSpec(task, on_the_clock(load_method("adaptive-kraft")), vehicle, robot(), 60.0)
-    start = task.start.x, task.start.y, task.start.heading
-    reasons = []
-    for blocked in (False, True):
-        planner = Planner(spec)
-        begun = planner.begin(start)
-        if blocked:
-            wall = OccupancyMap(np.ones((1, 40), dtype=bool), 0.05, (0.0, 0.0, 0.0), name="map")
-            planner.change(TaskChange(None, wall))
-        answer, _ = planner.decide(DecisionRequest(-0.3, 0, Sense(0), begun.commitment))
-        reasons.append(answer.cycle.reason)
-    assert reasons[0] == ""
-    assert "clearance" in reasons[1] or "no manoeuvre stops safely" in reasons[1]
-
-
-@pytest.mark.slow
-def test_the_planner_identifies_nothing_from_the_time_in_which_something_held_the_vehicle(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    task, vehicle = load_scenario("boxes").task(), load_vehicle("mushr-force")
-    planner = Planner(DriveSpec(task, on_the_clock(load_method("adaptive-kraft")), vehicle, robot(), 60.0))
-    begun, left_out = planner.begin((task.start.x, task.start.y, task.start.heading)), list[tuple[float, float]]()
-    replanner = planner._replanner
-    assert replanner is not None
-    decide = replanner.decide
-    monkeypatch.setattr(replanner, "decide", lambda *given: replace(decide(*given), held=(0.1, 2.2)))
-    monkeypatch.setattr(planner._estimator, "leave_out", lambda *span: left_out.append(span))
-    planner.decide(DecisionRequest(-0.3, 0, Sense(0), begun.commitment))
-    assert left_out == [(0.1, 2.2)]
-
-
-@pytest.mark.slow
-def test_a_goal_that_cannot_be_reached_is_not_taken_and_the_last_one_stays() -> None:
-    task, vehicle = load_scenario("turns").task(), load_vehicle("mushr")
-    planner = Planner(DriveSpec(task, on_the_clock(load_method("adaptive-kraft")), vehicle, robot(), 60.0))
-    planner.begin((task.start.x, task.start.y, task.start.heading))
-    x, y = task.goal.center
-    taken = planner.change(TaskChange(NewGoal((50.0, 2.0)), None))
-    assert taken.goal is None
-    assert taken.problem == f"the goal (50, 2) is out of bounds: the last one, ({x:g}, {y:g}), stays"
-    taken = planner.change(TaskChange(NewGoal((x, y)), None))
-    assert (taken.goal, taken.problem) == (NewGoal((x, y)), "")
-    wall = OccupancyMap(np.ones((10, 10), bool), 0.1, (x - 0.5, y - 0.5, 0.0), name="map")
-    taken = planner.change(TaskChange(None, wall))
-    assert (taken.goal, taken.problem) == (None, f"the goal ({x:g}, {y:g}) is in collision with 'map'")
-
-
-@pytest.mark.slow
-def test_plans_end_with_the_heading_of_a_new_goal() -> None:
-    task, vehicle = load_scenario("boxes").task(), load_vehicle("mushr-force")
-    described = robot(goal={"topic": "/goal", "heading_tolerance_deg": 15})
-    planner = Planner(DriveSpec(task, on_the_clock(load_method("adaptive-kraft")), vehicle, described, 60.0))
-    begun = planner.begin((task.start.x, task.start.y, task.start.heading))
-    heading, tolerance = math.radians(150), math.radians(15)
-    taken = planner.change(TaskChange(NewGoal(task.goal.center, heading, tolerance), None))
-    assert not taken.problem
-    planner.decide(DecisionRequest(-0.3, 0, Sense(0), begun.commitment))
-    planner.prepare()
-    assert planner._replanner is not None
-    plan = planner._replanner.proposal.plan
-    assert plan is not None
-    assert plan.reaches_goal
-    x, y, theta = pose_of(plan.states[-1], vehicle)
-    assert math.dist((x, y), task.goal.center) <= task.goal.radius
-    assert abs(math.remainder(theta - heading, math.tau)) <= tolerance
 
 
 def test_a_simulation_whose_time_is_less_than_the_machines_runs_and_its_dead_man_is_heard(
