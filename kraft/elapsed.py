@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
@@ -18,17 +18,16 @@ LOADING_INTERVAL: Final = 3.0
 
 
 @contextmanager
-def elapsed_time(log: MessageSink, what: str, *, interval: float | None = None, before: float = 0.0) -> Iterator[None]:
+def elapsed_time(log: MessageSink, what: str | Callable[[], str], *, interval: float | None = None) -> Iterator[None]:
     """Context that reports every `interval` s, `INTERVAL` by default, how long it has lasted, and `what` goes on in it.
 
-    `before` is the time that parts of the same work before it took, s.
     A thread of its own reports: neither a compilation nor an import returns before it ends.
     """
     ended, began, wait = threading.Event(), time.monotonic(), INTERVAL if interval is None else interval
 
     def report() -> None:
         while not ended.wait(wait):
-            log(f"  {before + time.monotonic() - began:.0f} s: {what}")
+            log(f"  {time.monotonic() - began:.0f} s: {what if isinstance(what, str) else what()}")
 
     thread = threading.Thread(target=report, name="elapsed time", daemon=True)
     thread.start()

@@ -18,7 +18,7 @@ from ompl_ext.cores import ONE_BLAS_THREAD
 
 COMPILE = """
 import sys
-from kraft.planning.compilation import compile_poses, compile_maps, ensure_compiled
+from kraft.planning.shared_kernels import SHARED, compile_shared
 from kraft.sysid.factor_graph import ensure_identification_compiled
 from kraft.vehicles.load import load_vehicle
 from ompl_ext.kernels.callback_kernel import grow
@@ -26,13 +26,15 @@ from ompl_ext.kernels.specialise import (
     are_steps_cached, is_cached, kernels, optional_module, polish_kernels, step_kernels
 )
 from support.kernels import ROVER
-if "shared" in sys.argv:
-    compile_maps()
-    compile_poses()
-    grow()
-    ensure_identification_compiled(load_vehicle("mushr"), "mushr", str)
 for name in sys.argv[1:]:
-    if name == "shared":
+    if name in SHARED:
+        compile_shared(name)
+        continue
+    if name == "identification":
+        ensure_identification_compiled(load_vehicle("mushr"), "mushr", str)
+        continue
+    if name == "callbacks":
+        grow()
         continue
     vehicle = ROVER if name == "rover" else load_vehicle(name)
     if not is_cached(vehicle):
@@ -44,7 +46,7 @@ for name in sys.argv[1:]:
     if name not in ("benchmark", "rover") and not are_steps_cached(vehicle):
         step_kernels(vehicle)
 """
-FIRST = (("mushr",), ("shared",))
+FIRST = (("planner", "mushr"), ("maps", "poses", "control", "filter", "callbacks", "identification"))
 """What a process each compiles first: the others use the kernels that the first one shares with them."""
 OTHERS = (("benchmark", "mushr-drive", "mushr-force", "f1tenth"), ("rover", "jackal", "unicycle2", "mushr-lag"))
 """Takes about the same time in two processes that compile nothing twice."""

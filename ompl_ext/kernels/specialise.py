@@ -192,10 +192,16 @@ class PolishKernels:
 
 
 @_one_at_a_time
+def polish_solver(vehicle: Vehicle) -> tuple[ModuleType, ModuleType]:
+    """Modules of the local optimisation that need no search: motions of `vehicle`, and the solver of the equations."""
+    return module_of(vehicle, "shooting"), layout_module_of(vehicle, "riccati")
+
+
+@_one_at_a_time
 def polish_kernels(vehicle: Vehicle) -> PolishKernels:
     """Compiled local optimisation of `vehicle`: from this process, else from the cache on disk, else compiled now."""
-    shooting = module_of(vehicle, "shooting")
-    steps, solver = (layout_module_of(vehicle, name) for name in ("gauss_newton", "riccati"))
+    shooting, solver = polish_solver(vehicle)
+    steps = layout_module_of(vehicle, "gauss_newton")
     if vehicle.source:
         mark(_done_marker(vehicle, "polish-complete"))
     address = shooting.ADDRESS

@@ -62,13 +62,13 @@ def test_validation_of_a_scenario_compiles_the_maps_kernels_alone_and_says_so(
         raise AssertionError(f"the planner is compiled for {vehicle.name}")
 
     monkeypatch.setattr("ompl_ext.motion.model_step", planner)
-    monkeypatch.setattr("kraft.planning.compilation.kernels", planner)
-    monkeypatch.setattr("kraft.planning.compilation._marker", lambda name: files / name)
-    monkeypatch.setattr("kraft.planning.compilation.compile_maps", lambda: None)
+    monkeypatch.setattr("kraft.planning.compilation.model_step", planner)
+    monkeypatch.setattr("kraft.planning.shared_kernels._marker", lambda name: files / name)
+    monkeypatch.setattr("kraft.planning.shared_kernels.search", lambda: planner)
     assert main(["validate", "good.yaml"]) == 0
     out, err = capsys.readouterr()
     assert out == "good.yaml: valid scenario\n"
-    assert err.startswith("compiling the maps' kernels for this machine, once: ")
+    assert err.startswith("compiling the maps for this machine, once: ")
 
 
 def test_validation_of_a_goal_with_limits_compiles_the_model_but_not_the_search(

@@ -173,10 +173,9 @@ def test_the_first_run_says_that_it_compiles_and_a_quiet_one_does_not(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(kernel_cache, "is_cached", lambda _: False)
-    monkeypatch.setattr(kernel_cache, "SEARCH", str(Path("search").absolute()))
     assert main(["plan", "room.yaml"]) == 0
     lines = capsys.readouterr().err.splitlines()
-    what = "compiling the planner and the model of mushr for this machine, once"
+    what = "compiling the planner for mushr for this machine, once"
     assert lines[0] == f"{what}: up to a minute, or some minutes if the machine is busy ..."
     assert lines[1].startswith("compiled in ")
     assert main(["plan", "room.yaml", "-q"]) == 0

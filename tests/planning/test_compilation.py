@@ -32,8 +32,8 @@ def test_the_cost_to_go_of_poses_is_compiled_for_methods_and_for_goals_that_need
 ) -> None:
     vehicle, messages, compiled = load_vehicle("mushr"), list[str](), list[str]()
     ensure_compiled(vehicle, lambda _: None, poses=True)
-    monkeypatch.setattr("kraft.planning.compilation.is_marked", lambda marker: marker.name != "poses")
-    monkeypatch.setattr("kraft.planning.compilation.compile_poses", lambda: compiled.append("poses"))
+    monkeypatch.setattr("kraft.planning.compilation.is_compiled", lambda name: name != "poses")
+    monkeypatch.setattr("kraft.planning.shared_kernels.compile_shared", compiled.append)
     ensure_compiled(vehicle, messages.append)
     assert (messages, compiled) == ([], [])
     ensure_compiled(vehicle, messages.append, poses=True)
@@ -90,23 +90,23 @@ def test_each_part_that_is_compiled_is_told(monkeypatch: pytest.MonkeyPatch) -> 
     assert messages[4].startswith("compiled in 0 s")
 
 
-def test_what_several_vehicles_need_is_one_compilation_and_the_planner_is_named_once(
+def test_what_several_vehicles_need_is_one_compilation_(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     messages, compiled = list[str](), list[str]()
-    monkeypatch.setattr("kraft.planning.compilation.is_cached", lambda _: False)
-    monkeypatch.setattr("kraft.planning.compilation.SEARCH", "of another version")
+    for cached, yes in (("is_compiled", True), ("is_model_cached", True), ("is_cached", False)):
+        monkeypatch.setattr(f"kraft.planning.compilation.{cached}", lambda _, yes=yes: yes)
     monkeypatch.setattr("kraft.planning.compilation._exercise", lambda vehicle: compiled.append(vehicle.name))
     ensure_all_compiled([Needs(load_vehicle(name)) for name in ("mushr", "jackal")], messages.append)
     assert compiled == ["mushr", "jackal"]
     assert messages[0].startswith("compiling 2 parts for this machine, once: ")
-    assert messages[0].endswith(": the planner and the model of mushr; the model of jackal ...")
+    assert messages[0].endswith(": the planner for mushr; the planner for jackal ...")
     assert [message for message in messages if message.startswith("compil")] == [messages[0], messages[-1]]
 
 
 def test_two_vehicles_of_one_name_are_both_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     compiled = list[Vehicle]()
-    for cached, yes in (("is_cached", True), ("is_marked", True), ("is_polish_cached", False)):
+    for cached, yes in (("is_cached", True), ("is_compiled", True), ("is_polish_cached", False)):
         monkeypatch.setattr(f"kraft.planning.compilation.{cached}", lambda _, yes=yes: yes)
     monkeypatch.setattr("kraft.planning.compilation.polish_kernels", compiled.append)
     vehicles = [replace(vehicle, name="car") for vehicle in (MUSHR, MUSHR_LAG)]
