@@ -46,6 +46,7 @@ SHORT = 0.1  # shortest edge near an exact goal over the shortest one elsewhere
 COARSEST = 0.3  # largest cell of the cost-to-go of poses, as a share of the footprint's width
 EXCESS = 0.01  # excess of the discs over the footprint if the goal has a heading, as a share of its width
 LARGE_EXCESS = 0.03  # the same in the cost-to-go of poses away from the goal
+HEADING_MAX = 1e6  # largest heading of a state (rad): sine and cosine of much larger ones are not bounded by 1
 PRECISE = 0.018  # spacing of the fine field if the goal has a heading, as a share of the footprint's width
 
 
@@ -96,11 +97,12 @@ def make_problem(
 
 
 def _limits(vehicle: Vehicle, workspace: Workspace) -> Floats:
-    """Limits (nx, 2) of the state, within the bounds of the workspace."""
+    """Limits (nx, 2) of the state, within the bounds of the workspace and of headings whose sine is known."""
     limits = vehicle.state_limits.copy()
-    for name, bounds in zip(("x", "y"), workspace.bounds, strict=True):
+    for name, bounds in zip(("x", "y", "theta"), (*workspace.bounds, (-HEADING_MAX, HEADING_MAX)), strict=True):
         k = vehicle.index(name)
-        limits[k] = max(limits[k, 0], bounds[0]), min(limits[k, 1], bounds[1])
+        if k >= 0:
+            limits[k] = max(limits[k, 0], bounds[0]), min(limits[k, 1], bounds[1])
     return limits
 
 

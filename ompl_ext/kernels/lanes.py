@@ -58,7 +58,7 @@ shifted, combined = runge_kutta_4_stages(NX)
 outside = total_of_components(
     "x, low, high",
     "(0.0 if low[{k}] <= x[{k}] else 1.0) + (0.0 if x[{k}] <= high[{k}] else 1.0)",
-    [k for k, name in enumerate(VEHICLE.state) if name in ("x", "y", *VEHICLE.limits)],
+    [k for k, name in enumerate(VEHICLE.state) if name in ("x", "y", "theta", *VEHICLE.limits)],
 )
 store_state = store_components(NX, WIDTH)
 store_input = store_components(NI, WIDTH)

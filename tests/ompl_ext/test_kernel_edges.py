@@ -31,7 +31,7 @@ from ompl_ext.exact import ExactClearance
 from ompl_ext.obstacles import Circle, Obstacle, Workspace, box
 from ompl_ext.query import Safety, Settings
 from ompl_ext.solver import DirtSolver
-from ompl_ext.vehicle import Footprint, Vehicle
+from ompl_ext.vehicle import Footprint, Vehicle, derivative
 
 OPEN = Workspace(((-40.0, 40.0), (-40.0, 40.0)))
 seeds = st.integers(0, 2**32 - 1)
@@ -118,6 +118,36 @@ def test_an_edge_of_another_number_of_values_is_refused() -> None:
         dirt.edge(START, np.array([1.0]), 0.5)
     with pytest.raises(ValueError, match="the state has 1 values; expected 4: x, y, theta, v"):
         dirt.edge(START[:1], np.array([1.0, 0.2]), 0.5)
+
+
+@derivative
+def _plate_motion(x, u, p):  # type: ignore[no-untyped-def]
+    return x[3], x[4], 1e303 * u[2], u[0], u[1]
+
+
+@derivative
+def _plate_stop(x, p, k):  # type: ignore[no-untyped-def]
+    return -3.0 * x[3], -3.0 * x[4], 0.0
+
+
+PLATE = Vehicle(  # moves without regard to its heading, which a derivative without bounds turns
+    name="plate",
+    derivative=_plate_motion,
+    stop=_plate_stop,
+    state=("x", "y", "theta", "vx", "vy"),
+    controls={"x": (-2.0, 2.0), "y": (-2.0, 2.0), "spin": (-1e12, 1e12)},
+    rest=("vx", "vy"),
+    footprint=Footprint(0.5, 0.2),
+    top_speed=1.0,
+)
+
+
+@pytest.mark.parametrize(("spin", "heading"), [(1e-303, 0.5), (1e-296, 5e6), (1.0, 5e302), (1e12, math.inf)])
+def test_an_edge_whose_heading_has_no_sine_is_outside(spin: float, heading: float) -> None:
+    trajectory, slack = wide(PLATE).edge(np.zeros(5), np.array([0.2, 0.0, spin]), 0.5)
+    assert trajectory[-1, 0] == pytest.approx(0.025)
+    assert trajectory[-1, 2] == pytest.approx(heading)
+    assert slack > 0.0 if heading < 1e6 else slack == -1.0  # what a pose outside the bounds has
 
 
 @pytest.mark.parametrize("blossom", [1, 2, 3, 5, 16, 31, 32])
