@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +40,18 @@ class PeerResult:
     nodes: int
 
 
+@contextmanager
+def _logging_from(least: ou.LogLevel) -> Iterator[None]:
+    """Let OMPL log nothing below a level; the level of the process is restored at the end."""
+    before = ou.getLogLevel()
+    ou.setLogLevel(max(before, least, key=lambda level: level.value))
+    try:
+        yield
+    finally:
+        ou.setLogLevel(before)
+
+
+@_logging_from(ou.LOG_WARN)
 def plan_with_ompl(
     name: str,
     vehicle: Vehicle,
@@ -60,9 +74,8 @@ def plan_with_ompl(
     if iterations is None and seconds is None:
         raise ValueError("a planner needs a budget: iterations or seconds")
     planner_class = PEERS[name]
-    ou.setLogLevel(ou.LOG_NONE)  # OMPL logs an error when it is seeded again, although it takes the seed
-    ou.RNG.setSeed(seed % 2**31 + 1)  # 0 would mean a seed from the clock
-    ou.setLogLevel(ou.LOG_WARN)
+    with _logging_from(ou.LOG_NONE):  # OMPL logs an error when it is seeded again, although it takes the seed
+        ou.RNG.setSeed(seed % 2**31 + 1)  # 0 would mean a seed from the clock
     setup = simple_setup(vehicle, workspace, start, goal, safety, STEP, (settings.shortest, settings.longest))
     si = setup.getSpaceInformation()
     planner = planner_class(si)

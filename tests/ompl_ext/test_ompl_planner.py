@@ -224,6 +224,19 @@ def test_ompls_planners_get_through_two_turns_with_few_steps(name: str) -> None:
         assert found.steps < 40_000
 
 
+@pytest.mark.parametrize("level", [ou.LOG_INFO, ou.LOG_NONE])
+def test_ompls_planners_log_no_steps_and_leave_the_log_level_as_it_was(
+    level: ou.LogLevel, capfd: pytest.CaptureFixture[str]
+) -> None:
+    ou.setLogLevel(level)
+    try:
+        plan_with_ompl("rrt", BENCHMARK, TURNS, TURNS_START, GOAL, safety=NO_SAFETY, settings=Settings(), iterations=10)
+        assert ou.getLogLevel() == level
+    finally:
+        ou.setLogLevel(ou.LOG_NONE)
+    assert "Info" not in "".join(capfd.readouterr())
+
+
 def test_states_are_sampled_where_states_can_be() -> None:
     workspace = Workspace(((0.0, 4.0), (1.0, 3.0)), ())
     free = sampling_range(UNICYCLE2, workspace)
