@@ -11,7 +11,7 @@ import struct
 import warnings
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Final, Literal, TypeAlias
@@ -81,6 +81,7 @@ class OccupancyMap:
             Unknown cells are occupied.
         resolution: side of a cell, m.
         origin: pose (x, y, yaw) of the outer corner of cell [0, 0], m and rad.
+        states_outside: whether its scenario says what is beyond the map inside the bounds.
     """
 
     occupied: NDArray[np.bool_]
@@ -88,6 +89,7 @@ class OccupancyMap:
     origin: tuple[float, float, float]
     height: float = 0.2
     name: str | None = None
+    states_outside: bool = field(default=False, compare=False)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, OccupancyMap):

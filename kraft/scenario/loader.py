@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -181,7 +182,8 @@ def _maps(document: Document, folder: Path) -> tuple[dict[int, OccupancyMap], li
                 problem = f"{path} is an image"
                 problems.append(document.source.diagnostic(at, problem, NOT_AN_IMAGE, code=Code.MISMATCH))
             else:
-                maps[i] = read_map(path, height=settings.height, name=name if isinstance(name, str) else None)
+                found = read_map(path, height=settings.height, name=name if isinstance(name, str) else None)
+                maps[i] = replace(found, states_outside=settings.outside is not None)
         except InputError as error:
             problems += error.diagnostics
     return maps, problems

@@ -35,7 +35,7 @@ def unmapped(bounds: Bounds, maps: Sequence[OccupancyMap], height: float) -> tup
 def unstated_outside(task: Task) -> str:
     """What to say of bounds that reach beyond the maps of a scenario that does not state what is there; else empty."""
     maps = [each for each in task.obstacles if isinstance(each, OccupancyMap)]
-    stated = any(path[-2:] == ("map", "outside") for path in (*task.source.keys, *task.source.replaced))
+    stated = any(each.states_outside for each in maps)
     parts = () if stated or not maps else unmapped(task.bounds, maps, 0.2)
     if not parts:
         return ""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from kraft.errors import InputError
 from kraft.planning.feasibility import check_placement
 from kraft.planning.workspace import start_state
-from kraft.scenario import OccupancyMap, Polygon, parse_scenario
+from kraft.scenario import OccupancyMap, Polygon, load_scenario, parse_scenario
 from kraft.scenario.geometry import signed_area
 from kraft.scenario.schema import Bounds
 from kraft.scenario.unmapped import unmapped, unstated_outside
@@ -68,6 +68,17 @@ def test_a_scenario_that_does_not_state_what_is_beyond_its_map_is_warned_of(
     assert bool(scene_of(tmp_path, text)) == (stated == ", outside: occupied")
     text_of_warning = unstated_outside(parse_scenario(text, folder=tmp_path))
     assert text_of_warning.startswith("50% of the bounds are outside the map") if warned else text_of_warning == ""
+
+
+@pytest.mark.parametrize("outside", [None, "free", "occupied"])
+def test_obstacles_that_replace_those_of_the_file_also_state_what_is_beyond_their_map(
+    outside: str | None, tmp_path: Path
+) -> None:
+    scene_of(tmp_path)
+    stated = {"file": str(tmp_path / "m.yaml")} | ({} if outside is None else {"outside": outside})
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    scenario = load_scenario(tmp_path / "scene.yaml", {"obstacles": [{"map": stated}]})
+    assert bool(unstated_outside(scenario)) == (outside is None)
 
 
 def test_a_map_that_reaches_the_bounds_to_a_rounding_adds_nothing(tmp_path: Path) -> None:
