@@ -22,6 +22,8 @@ TOPIC: Final = "/kraft/scenario"
 """Topic of the announcement, which also late subscribers receive."""
 KIND: Final = "std_msgs/msg/String"
 SCHEMA: Final = "kraft.announcement/1"
+KEYS: Final = frozenset({"schema", "name", "bounds", "goal", "obstacles", "vehicle", "size"})
+"""Keys of an announcement."""
 NAMED: Final = 3
 """Number of obstacles that a message names at most."""
 SAME_SIZE: Final = 0.01
@@ -46,7 +48,7 @@ class Announced:
             content = json.loads(message.data)
         except ValueError:
             return  # somebody else's message
-        if isinstance(content, dict) and content.get("schema") == SCHEMA:
+        if isinstance(content, dict) and content.get("schema") == SCHEMA and content.keys() >= KEYS:
             self.content = content
 
     def checks(self, task: Task, vehicle: Vehicle, *, is_simulated: bool, has_map: bool) -> list[Check]:

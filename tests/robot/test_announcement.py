@@ -54,6 +54,15 @@ def test_obstacles_that_the_drive_has_from_the_map_of_the_robot_are_a_warning() 
     assert check.state == "problem"
 
 
+def test_an_announcement_that_lacks_a_part_counts_as_none() -> None:
+    bus = LoopbackBus()
+    announced, robot = Announced(bus.node("kraft")), bus.node("robot")
+    robot.advertise(TOPIC, KIND, latched=True)
+    robot.publish(TOPIC, make(KIND, data='{"schema": "kraft.announcement/1", "name": "boxes"}'))
+    (check,) = announced.checks(boxes().task(), load_vehicle("mushr"), is_simulated=True, has_map=False)
+    assert (check.state, "does not announce its scenario" in check.detail) == ("warning", True)
+
+
 def test_a_larger_vehicle_than_the_model_is_a_warning() -> None:
     _, check = compared(boxes(), boxes(), simulated="f1tenth")
     assert (check.name, check.state) == ("vehicle", "warning")
