@@ -48,12 +48,12 @@ class TrackedContingency:
         return self.predicted.slack >= 0.0
 
     @property
-    def rounded_slack(self) -> int:
-        """Least slack in 1 / RESOLUTION m."""
+    def rounded_slack(self) -> float:
+        """Least slack in 1 / RESOLUTION m, see `_rounded`."""
         return _rounded(self.predicted.slack)
 
     @property
-    def rank(self) -> tuple[bool, float, int, float]:
+    def rank(self) -> tuple[bool, float, float, float]:
         """Sort key: verified, the lowest impact speed, the largest least slack, the earliest standstill."""
         return self.is_verified, -self.impact_speed, self.rounded_slack, -float(self.predicted.times[-1])
 
@@ -81,7 +81,7 @@ class ContingencyRanking:
         return found if found.is_verified else replace(found, origin=ContingencyOrigin.EMERGENCY)
 
     def _better(
-        self, found: TrackedContingency | None, candidates: list[ContingencyCandidate], begin: Begin, bound: int
+        self, found: TrackedContingency | None, candidates: list[ContingencyCandidate], begin: Begin, bound: float
     ) -> TrackedContingency | None:
         """Best of `found` and of the candidates; only those are tracked that can be better."""
         slacks = self._rounded_slacks(begin, [each.motion for each in candidates])
@@ -109,8 +109,8 @@ class ContingencyRanking:
         before = states[max(contact - 1, 0)]  # it may stand where it touches
         return TrackedContingency(reference, origin, predicted, abs(float(before[vehicle.rest_indices[0]])))
 
-    def _rounded_slacks(self, begin: Begin, motions: Sequence[ModelMotion]) -> list[int]:
-        """Least slacks of motions in the model (in 1 / RESOLUTION m)."""
+    def _rounded_slacks(self, begin: Begin, motions: Sequence[ModelMotion]) -> list[float]:
+        """Least slacks of motions in the model (in 1 / RESOLUTION m), see `_rounded`."""
         if not motions:
             return []
         times, states = (np.concatenate(each) for each in zip(*motions, strict=True))
@@ -118,8 +118,9 @@ class ContingencyRanking:
         return [_rounded(slack) for slack in self._dirt.least_slacks(states, times - begin.cycle_start, ends).tolist()]
 
 
-def _rounded(slack: float) -> int:
-    return round(slack * RESOLUTION)
+def _rounded(slack: float) -> float:
+    """A slack (m) in 1 / RESOLUTION m; that of a motion with states that are not numbers is less than any other."""
+    return -math.inf if math.isnan(slack) else round(slack * RESOLUTION, 0)
 
 
 def emergency_reference(dirt: DirtSolver, state: Floats, start: float) -> Reference:

@@ -19,7 +19,7 @@ from kraft.driving.messages import Commitment, ContingencyOrigin, Estimate, Refe
 from kraft.driving.prediction import ClosedLoopPredictor, required_clearance
 from kraft.driving.references import contingency_reference, plan_reference
 from kraft.driving.replanner import Replanner
-from ompl_ext.arrays import Floats
+from ompl_ext.arrays import Floats, Ints
 
 STATES = [
     np.array([1.6, 1.2, 1.5, 0.5]),
@@ -75,6 +75,24 @@ def test_the_best_is_committed_whatever_its_origin(state: Floats, monkeypatch: p
         assert best.rounded_slack >= max(one.rounded_slack for one in each if one.is_verified) - 1
     else:
         assert best.origin is ContingencyOrigin.EMERGENCY
+
+
+def test_a_candidate_whose_motion_is_not_a_number_is_the_worst_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = subject()
+    slacks_of = found.dirt.least_slacks
+
+    def least_slacks(states: Floats, since: Floats, ends: Ints) -> Floats:
+        slacks = slacks_of(states, since, ends)
+        if len(slacks) > 1:
+            slacks[0] = math.nan
+        return slacks
+
+    monkeypatch.setattr(found.dirt, "least_slacks", least_slacks)
+    best = ranking(found).best(Begin(STATES[0], 2.0, 2.0), None, [])
+    assert best.is_verified
+    unknown = replace(best, predicted=replace(best.predicted, slack=math.nan))
+    assert unknown.rank < best.rank
+    assert unknown.rank < replace(best, predicted=replace(best.predicted, slack=-1e9)).rank
 
 
 class Uncompiled:
