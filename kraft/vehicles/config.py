@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 from pydantic import AfterValidator, Field, PlainValidator, PrivateAttr
 from pydantic_core import PydanticCustomError
@@ -37,7 +37,9 @@ from kraft.vehicles.true_robot import RobotTruth, with_files
 from ompl_ext.names import FORCE
 from ompl_ext.vehicle import ParameterRange, Vehicle
 
-SPEED_EXPECTED = "expected a number in m/s, of at most 100, or the name of a parameter"
+SPEED_MAX: Final = 100.0
+"""Largest top speed, m/s."""
+SPEED_EXPECTED = f"expected a number in m/s, of at most {SPEED_MAX:g}, or the name of a parameter"
 
 
 def _model_reference(text: str) -> str:
@@ -49,12 +51,12 @@ def _model_reference(text: str) -> str:
 def _speed(value: object) -> float | str:
     if isinstance(value, str):  # `kraft.vehicles.load` checks that the model has such a parameter
         return value
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 100:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= SPEED_MAX:
         raise refuse(f"is {describe(value)}", SPEED_EXPECTED)
     return float(value)
 
 
-_SpeedSchema = Annotated[float, Field(gt=0, le=100)] | Symbol
+_SpeedSchema = Annotated[float, Field(gt=0, le=SPEED_MAX)] | Symbol
 
 
 class Delay(StrictModel):

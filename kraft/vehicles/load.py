@@ -22,7 +22,7 @@ from kraft.errors import Code, Diagnostic, InputError
 from kraft.text import suggestion
 from kraft.vehicles import is_car
 from kraft.vehicles.code import StatedByCode, check_functions, check_stated, vehicle_in_code, vehicle_of
-from kraft.vehicles.config import SPEED_EXPECTED, Parameter, VehicleConfig, load_vehicle_config
+from kraft.vehicles.config import SPEED_EXPECTED, SPEED_MAX, Parameter, VehicleConfig, load_vehicle_config
 from kraft.vehicles.identification_record import SpeedPrediction
 from kraft.vehicles.reference import VehicleProblem, reference_of, resolve_vehicle
 from kraft.vehicles.true_robot import CarDimensions, RobotTruth, with_files
@@ -112,9 +112,10 @@ def configured(config: VehicleConfig) -> Vehicle:
     ]
     values = {**model.parameters, **config.values}
     speed = values.get(config.top_speed, 0.0) if isinstance(config.top_speed, str) else config.top_speed
-    if speed <= 0 and not problems:
+    if not 0.0 < speed <= SPEED_MAX and not problems:
         problem = f"is {speed:g} m/s"
-        problems.append(config.source.diagnostic("top_speed", problem, "expected a speed greater than 0"))
+        expected = f"expected a speed greater than 0 and at most {SPEED_MAX:g}"
+        problems.append(config.source.diagnostic("top_speed", problem, expected))
     if problems:
         raise InputError(problems)
     shape = config.footprint

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import numpy as np
 import pytest
 from support.diagnostics import located, raised
 
 from kraft.config import bundled
+from kraft.errors import InputError
 from kraft.vehicles.benchmark import BENCHMARK
 from kraft.vehicles.config import load_vehicle_config
 from kraft.vehicles.load import load_vehicle
@@ -248,6 +251,26 @@ def test_a_top_speed_that_is_a_parameter_follows_it() -> None:
     assert load_vehicle("mushr", parameters={"v_delta": 1.0}).top_speed == 1.0
     assert load_vehicle("unicycle2", parameters={"v_max": 0.3}).top_speed == 0.3
     assert load_vehicle("benchmark", parameters={"gain": 0.3}).top_speed == 0.6228
+
+
+@pytest.mark.parametrize(("value", "is_allowed"), [(100.0, True), (100.5, False)])
+def test_a_top_speed_that_is_a_parameter_has_the_limit_of_one_that_is_given(
+    value: float, is_allowed: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / "fast.yaml"
+    text = bundled.find("vehicle", "unicycle2").read_text()
+    path.write_text(
+        re.sub(
+            r"v_max: \{value: .*?, unit: m/s, min: .*?, max: [^,]*",
+            f"v_max: {{value: {value}, unit: m/s, min: 0.05, max: 200",
+            text,
+        )
+    )
+    if is_allowed:
+        assert load_vehicle(path).top_speed == value
+    else:
+        with pytest.raises(InputError, match=r"top_speed: is 100\.5 m/s; expected .* at most 100"):
+            load_vehicle(path)
 
 
 def test_parameters_are_checked_against_the_files_limits() -> None:
