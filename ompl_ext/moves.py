@@ -111,7 +111,12 @@ class Moves:
         return np.array(inputs)
 
     def settling(self, state: Floats, arc: Arc) -> tuple[Floats, float]:
-        """Control with which the vehicle stands until it can begin an arc, and for how long (s): 0 if it can."""
+        """Control (nu,) with which the vehicle stands until it can begin an arc, and for how long (s): 0 if it can.
+
+        What does not move the vehicle from standstill, as steering, is that of the arc; it can begin as soon as no
+        component of the state but pose and speed is farther from where the control leads it within a second than
+        `SETTLED` allows.
+        """
         if not self._others:
             return self._idle, 0.0
         wanted: Floats = sum(
