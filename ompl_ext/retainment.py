@@ -71,7 +71,8 @@ def _most_promising(tree: Tree, path: Bools, limit: int) -> Ints:
     Their ancestors up to the path count towards the limit.
     """
     size, f = len(path), tree.value[: len(path), at.F]
-    parent = np.maximum(tree.link[:size, at.PARENT], 0)
+    link = tree.link[:size, at.PARENT]
+    parent = np.where(link < 0, np.arange(size, dtype=link.dtype), link)  # other roots are below no path
     below = path.copy()
     add_descendants(below, parent)
     useful = below & ~path & (tree.value[:size, at.RADIUS] > 0.0) & (f < tree.best[0])

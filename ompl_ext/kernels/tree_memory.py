@@ -316,7 +316,7 @@ def _keep_ancestors(keep: Bools, parent: Ints32) -> None:
 
 @compiled
 def add_descendants(chosen: Bools, parent: Ints32) -> None:
-    """Choose the descendants of chosen nodes (n,) too; `parent` (n,) of the first root is itself."""
+    """Choose the descendants of chosen nodes (n,) too; `parent` (n,) of a root is itself."""
     for node in range(len(chosen)):  # children come after their parents
         chosen[node] = chosen[node] or chosen[parent[node]]
 

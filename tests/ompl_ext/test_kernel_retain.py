@@ -35,6 +35,23 @@ def test_retaining_more_than_memory_holds_stops_cleanly() -> None:
     assert added == 4
 
 
+def test_of_a_tree_with_two_roots_only_what_is_below_the_plan_is_retained() -> None:
+    dirt = turns()
+    dirt.clear(0)
+    dirt.add_root(START)
+    dirt.add_root(np.array([1.0, -0.3, math.pi / 2, 0.0]))
+    dirt.grow(iterations=600)
+    tree = dirt.tree()
+    root = [0, 1]
+    for parent in tree.parents[2:]:
+        root.append(root[parent])
+    first = next(node for node in range(2, len(root)) if root[node] == 0)
+    edges = dirt.retainable_edges(dirt.plan_to(first), 0.0, 1000)
+    below = {(*tree.controls[k], tree.durations[k]) for k in range(2, len(root)) if root[k] == 0}
+    assert len(edges.parents) > 1
+    assert {(*u, t) for u, t in zip(edges.controls.tolist(), edges.durations.tolist(), strict=True)} <= below
+
+
 def remaining(plan: Plan, k: int) -> float:
     return plan.cost - float(plan.times[k])
 
