@@ -71,10 +71,19 @@ class Previous:
 
 @dataclass(frozen=True)
 class Budget:
-    """Budget of a search: a number of iterations, which is repeatable, or wall-clock time in s."""
+    """Budget of a search: a number of iterations, which is repeatable, or wall-clock time in s.
+
+    Raises:
+        InputError: if neither is given.
+    """
 
     iterations: int | None = None
     seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check that there is a budget."""
+        if self.iterations is None and self.seconds is None:
+            raise InputError.of_argument("budget", "is empty", "expected iterations or seconds", Code.MISSING)
 
 
 @dataclass(frozen=True)

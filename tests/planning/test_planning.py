@@ -92,6 +92,11 @@ def test_the_scenarios_own_budget_holds_unless_another_is_given(mushr: Vehicle) 
     assert plan_task(task, mushr, Budget(iterations=7)).progress.iterations == 7
 
 
+def test_a_budget_without_a_limit_is_refused() -> None:
+    with pytest.raises(InputError, match="budget: is empty; expected iterations or seconds"):
+        Budget()
+
+
 def test_a_time_budget_is_kept(mushr: Vehicle) -> None:
     result = plan_task(room(), mushr, Budget(seconds=0.05))
     assert 0.04 < result.progress.seconds < 0.5
