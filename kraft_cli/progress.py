@@ -27,6 +27,7 @@ class Interrupts:
 
     def __init__(self, terminal: Terminal) -> None:
         self.trials_run = False
+        self.awaited = "the running trials"
         self.received = 0  # number of the signal that requested the stop
         self._terminal = terminal
 
@@ -35,7 +36,7 @@ class Interrupts:
         if self.received or not self.trials_run:
             raise Stopped(number)
         self.received = number
-        self._terminal.problem("waiting for the running trials; interrupt again to abort them")
+        self._terminal.problem(f"waiting for {self.awaited}; interrupt again to abort them")
 
 
 class Progress(Observer):
@@ -91,6 +92,7 @@ class Progress(Observer):
         for row in rows.values():
             self._counts[row.key[:2]][row.outcome] += 1
         self._done = len(rows)
+        self._note_end()
         there = f", {self._done} of them finished already" if rows else ""
         self._terminal.info(f"{counted(self._total, 'trial')}{there}; results in {folder}")
         if self._terminal.interactive and not self._terminal.quiet:
@@ -99,6 +101,7 @@ class Progress(Observer):
     def trial_ended(self, row: TrialRow) -> None:
         """Update the counts, and print a line or move the bars."""
         self._done += 1
+        self._note_end()
         key = row.key[:2]
         counts = self._counts[key]
         counts[row.outcome] += 1
@@ -108,6 +111,11 @@ class Progress(Observer):
             )
         else:
             self._advance(self._bars, key, counts)
+
+    def _note_end(self) -> None:
+        """After the last trial an interrupt waits for the results instead."""
+        if self._done == self._total:
+            self._interrupts.awaited = "the results to be written"
 
     def _new_bars(self) -> Bars:
         from rich.console import Console

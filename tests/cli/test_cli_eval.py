@@ -7,6 +7,7 @@ import json
 import re
 import signal
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,8 @@ from support.paths import ROOT
 from support.screen import Screen
 
 from kraft.config import bundled
-from kraft.evaluation import METHODS, evaluator
+from kraft.evaluation import METHODS, TrialRow, evaluator
+from kraft.evaluation.experiment import experiment_of
 from kraft.evaluation.suite import load_suite
 from kraft.evaluation.table import COLUMNS, MEANINGS, TIME_OF_ALL
 from kraft.trial.result import Outcome, TrialResult, TrialSpec
@@ -413,6 +415,23 @@ def test_the_first_signal_while_trials_run_is_a_request_and_all_others_raise() -
     with pytest.raises(Stopped) as stopped:
         interrupts.handle(signal.SIGHUP)
     assert stopped.value.number == signal.SIGHUP
+
+
+@pytest.mark.parametrize("resumed", [False, True])
+def test_after_the_last_trial_a_signal_waits_for_the_results(resumed: bool) -> None:
+    err = io.StringIO()
+    terminal = Terminal(io.StringIO(), err)
+    interrupts = Interrupts(terminal)
+    experiment = experiment_of(["turns"], ["kraft"], trials=2)
+    row = partial(TrialRow, scenario="turns", method="kraft", outcome="timeout", t_s=1.0)
+    rows = {each.key: each for each in (row(seed=0), row(seed=1))}
+    with Progress(terminal, interrupts) as progress:
+        progress.started(experiment, None, rows if resumed else {})
+        for each in () if resumed else rows.values():
+            assert interrupts.awaited == "the running trials"
+            progress.trial_ended(each)
+        interrupts.handle(signal.SIGINT)
+    assert "waiting for the results to be written; interrupt again to abort" in err.getvalue()
 
 
 def test_every_option_and_every_key_is_described(inline: None, capsys: pytest.CaptureFixture[str]) -> None:
