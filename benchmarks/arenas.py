@@ -78,7 +78,7 @@ def drive(k: int, name: str) -> Drive:
         compared=result.measures.compared,
         regressions=sum(result.measures.regressions.values()),
         contingencies=result.contingencies,
-        planning=tuple(while_driving([cycle.planning_ms for cycle in result.cycles])),
+        planning=tuple(cycle.planning_ms for cycle in result.cycles),
     )
 
 
@@ -91,7 +91,7 @@ def rows_of(drives: Sequence[Drive]) -> list[Row]:
         row(f"{outcome}, of {total} ({interval(k, total)})", "", [k], targets.get(outcome))
         for outcome, k in count.items()
     ]
-    planning = [ms for d in drives for ms in d.planning]
+    planning = while_driving(d.planning for d in drives)
     compared = max(1, sum(d.compared for d in drives))
     regressions = 100.0 * sum(d.regressions for d in drives) / compared
     return [

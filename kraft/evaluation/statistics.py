@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -97,12 +97,13 @@ def percentile(values: Sequence[float], share: float) -> float | None:
     return float(np.quantile(values, share, method="inverted_cdf")) if values else None
 
 
-def while_driving(planning: Sequence[float]) -> Sequence[float]:
-    """Planning times of a trial without that of its first plan, which is made before the vehicle drives.
+def while_driving(planning: Iterable[Sequence[float]]) -> list[float]:
+    """Planning times of trials without those of their first plans, which are made before the vehicles drive.
 
-    A trial with one plan has no others: its time is that of the first plan.
+    If all trials have one plan at most, as those of a method that plans once, it is the time of these.
     """
-    return planning[1:] if len(planning) > 1 else planning
+    trials = list(planning)
+    return [each for trial in trials for each in trial[1:]] or [each for trial in trials for each in trial]
 
 
 @dataclass(frozen=True)

@@ -256,7 +256,7 @@ def _result(name: RowName, rows: Sequence[TrialRow], against: McNemar | None) ->
     outcomes = [row.outcome for row in rows]
     success = outcomes.count("success")
     durations = success_times(rows)
-    planning = [value for row in rows for value in while_driving(row.measured.planning_ms)]
+    planning = while_driving(row.measured.planning_ms for row in rows)
     first_plans = [row.measured.planning_ms[0] for row in rows if row.measured.planning_ms]
     commands = [value / 1000.0 for row in rows for value in row.measured.command_us]
     scores = [name.score.of(row.success_time) for row in rows] if name.score else []

@@ -164,8 +164,8 @@ def run_json(run: Run) -> dict[str, Any]:
         "min_clearance_m": finite(result.min_clearance),
         "outside_m": outside_bounds(run.spec.scenario, run.spec.vehicle.footprint, result),
         "first_plan_ms": planning[0] if planning else None,
-        "planning_ms_p50": percentile(while_driving(planning), 0.5),
-        "planning_ms_p99": percentile(while_driving(planning), 0.99),
+        "planning_ms_p50": percentile(while_driving([planning]), 0.5),
+        "planning_ms_p99": percentile(while_driving([planning]), 0.99),
         "missed_deadlines": result.missed,
         "command_ms_p50": percentile(result.command_ms, 0.5),
         "command_ms_p99": percentile(result.command_ms, 0.99),
@@ -205,7 +205,7 @@ def run_table(run: Run) -> list[tuple[str, str]]:
     ]
     if planning:
         slow = f", {result.missed} exceeded the planning time" if result.missed else ""
-        later = while_driving(planning)
+        later = while_driving([planning])
         times = f"{percentile(later, 0.5):.1f} ms median, {max(later):.1f} ms worst{slow}"
         rows.append(("planning", f"{times}; first plan {planning[0]:.1f} ms"))
     if result.command_ms:

@@ -21,7 +21,7 @@ from kraft.evaluation.manifest import manifest_of
 from kraft.evaluation.ompl_benchmark import make_database, write_benchmark
 from kraft.evaluation.paper import paper_row
 from kraft.evaluation.report.results import Manifest
-from kraft.evaluation.statistics import wilson
+from kraft.evaluation.statistics import while_driving, wilson
 from kraft.evaluation.suite import load_suite
 from kraft.evaluation.table import totals
 from kraft.scenario import Score
@@ -53,6 +53,12 @@ def rows(experiment: Experiment) -> dict[Key, TrialRow]:
             )  # fmt: skip
             found[row.key] = row
     return found
+
+
+def test_the_first_plan_is_none_of_the_drive_unless_no_trial_has_another() -> None:
+    assert while_driving([(900.0, 2.0, 3.0), (800.0,), ()]) == [2.0, 3.0]
+    assert while_driving([(900.0,), (), (800.0,)]) == [900.0, 800.0]
+    assert while_driving([]) == []
 
 
 def test_counts_means_intervals_and_tests_are_those_of_the_rows(
