@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import platform
 from collections.abc import Mapping
@@ -10,6 +11,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+import kraft
+import ompl_ext
 from kraft.driving.control.user_controller import CODE_HASH, code_content
 from kraft.driving.control_settings import UserCode
 from kraft.driving.method import Method
@@ -19,7 +22,7 @@ from kraft.evaluation.robots import robots_of
 from kraft.planning.plan_file import vehicle_content
 from kraft.provenance import MISSING, SIMULATION, difference_text, differences, plain, plain_hash, versions
 from kraft.scenario import Scenario
-from kraft.trial.robot_content import estimation_content
+from kraft.trial.robot_content import FILES, estimation_content
 
 MANIFEST: Final = "manifest.json"
 MANIFEST_SCHEMA: Final = "kraft.eval-manifest/1"
@@ -34,6 +37,12 @@ TEXTS: Final = ("title", "description")
 """Keys of scenarios and methods that no result depends on."""
 SECTIONS: Final = ("scenarios", "methods", "vehicles")
 """Sections with one entry for each name."""
+PACKAGES: Final = (Path(kraft.__file__).parent, Path(ompl_ext.__file__).parent)
+"""Folders of `kraft` and `ompl_ext`."""
+OF_TRIALS: Final = ("driving", "planning", "scenario", "simulation", "trial", "vehicles")
+"""Subpackages of `kraft` on which the results of trials depend, beside all of `ompl_ext`."""
+SOURCE: Final = "source"
+"""Key of the hash of the code on which they depend; older manifests have none."""
 ROW_KEYS: Final = {"scenario", "method", "vehicle"}
 
 
@@ -77,7 +86,17 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
         "methods": {cell.method.name: _hashed(_method(cell.method)) for cell in cells},
         "vehicles": {labels[reference]: _hashed(content) for reference, content in vehicles.items()},
         "versions": versions(SIMULATION),
+        SOURCE: source_hash(),
     }
+
+
+def source_hash() -> str:
+    """SHA-256 of the code on which the results of trials depend: of a clone it changes within a version."""
+    (package, planner), digest = PACKAGES, hashlib.sha256()
+    for folder in (*(package / name for name in OF_TRIALS), planner):
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(f"{folder.name}/{path.relative_to(folder).as_posix()}\n".encode() + path.read_bytes())
+    return digest.hexdigest()
 
 
 def scenario_content(scenario: Scenario) -> dict[str, Any]:
@@ -140,6 +159,7 @@ def check_continues(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) 
         grown = _remove_additions(was, now, before, after)
     _remove_uncommon_rows(before, after)
     _remove_uncommon_robots(before, after)
+    _remove_unstated_source(before, after)
     differing = list(differences(before, after))
     if differing:
         raise InputError(
@@ -156,8 +176,9 @@ def check_continues(path: Path, was: Mapping[str, Any], now: Mapping[str, Any]) 
 
 
 def grown_manifest(was: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
-    """Manifest of an evaluation that has more trials or methods now; it began when and where it did."""
-    return {**now, **{key: was[key] for key in ("began", "host") if key in was}}
+    """Manifest of an evaluation that has more trials or methods now; it began when, where and with the code it did."""
+    kept = {key: was[key] for key in ("began", "host", SOURCE) if key in was}
+    return {key: value for key, value in now.items() if key != SOURCE} | kept
 
 
 @dataclass(frozen=True)
@@ -178,6 +199,7 @@ def manifest_differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> li
         for content in (before, after):
             content[section] = {name: value for name, value in content.get(section, {}).items() if name in common}
     _remove_uncommon_robots(before, after)
+    _remove_unstated_source(before, after)
     return [Difference(*found) for found in differences(before, after)]
 
 
@@ -235,6 +257,13 @@ def _remove_uncommon_robots(before: dict[str, Any], after: dict[str, Any]) -> No
         content["robots"] = {row: robots[row] for row in kept.values()}
 
 
+def _remove_unstated_source(before: dict[str, Any], after: dict[str, Any]) -> None:
+    """Remove the hash of the code where only one of the two has one."""
+    if SOURCE not in before or SOURCE not in after:
+        for content in (before, after):
+            content.pop(SOURCE, None)
+
+
 def _compared(content: Mapping[str, Any]) -> dict[str, Any]:
     """Fields that must be equal, as read back from JSON; vehicles and true robots by the name of their row.
 
@@ -256,8 +285,11 @@ def _difference(keys: tuple[str, ...], before: Any, after: Any) -> str:
         return f"{part} is not in the folder's evaluation"
     if keys[-1] == CODE_HASH and MISSING not in (before, after):
         return "the file of the controller's code has changed"
+    if keys[0] == SOURCE:
+        return "the code of kraft that trials run has changed"
     if keys[0] == "robots" and keys[-1] == "sha256":
-        return "the file of the true robot has changed"
+        file = f"{keys[-2]}, a file" if keys[-3] == FILES else "the file"
+        return f"{file} of the true robot has changed"
     return f"{part} is missing now" if known and after is MISSING else difference_text(before, after)
 
 
@@ -269,6 +301,8 @@ def _expected(keys: tuple[str, ...], before: Any) -> str:
         return "expected it among the methods, as they may become more but not fewer, or another folder"
     if keys[-1] == CODE_HASH:
         return "expected no change, or another folder for this method; kraft compare shows two folders together"
+    if keys[0] == SOURCE:
+        return "expected that of the folder's trials, or another folder; kraft compare shows two folders together"
     return "expected no change, or another folder"
 
 

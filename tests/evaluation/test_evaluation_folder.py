@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -17,11 +18,12 @@ from support import fake_trials
 from support.evaluation import StoppingObserver, kept, places, refused, room_for
 from support.paths import ROOT
 
+import kraft.evaluation.manifest
 from kraft.errors import Code, InputError
 from kraft.evaluation import Evaluation, Observer, TrialRow, evaluate, folder
 from kraft.evaluation.experiment import experiment_of
 from kraft.evaluation.journal import Journal, read_journal
-from kraft.evaluation.manifest import check_continues, manifest_differences, manifest_of
+from kraft.evaluation.manifest import check_continues, grown_manifest, manifest_differences, manifest_of
 from kraft.vehicles.load import load_vehicle
 
 SCENARIOS, METHODS = ("turns", "slip"), ("oneshot-openloop", "kraft")
@@ -274,6 +276,33 @@ def test_a_changed_file_and_another_version_are_refused(tmp_path: Path) -> None:
     problems = {each.path: each.problem for each in caught.value.diagnostics}
     assert problems.keys() == {"methods.mine.content.controller.rate_hz", "versions.mujoco"}
     assert problems["methods.mine.content.controller.rate_hz"] == "was 30.0, is 10.0 now"
+
+
+def test_other_code_of_trials_is_refused_and_code_that_no_trial_runs_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packages = tmp_path / "kraft", tmp_path / "ompl_ext"
+    for package in packages:
+        shutil.copytree(ROOT / package.name, package, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(kraft.evaluation.manifest, "PACKAGES", packages)
+    path, experiment = tmp_path / "manifest.json", experiment_of(["turns"], ["kraft"], trials=3)
+    more = experiment_of(["turns"], ["kraft"], trials=4)
+    before = manifest_of(experiment, {})
+    for file in ("kraft/plot/page.py", "kraft/evaluation/table.py"):
+        (tmp_path / file).write_text("")
+        assert not check_continues(path, before, manifest_of(experiment, {}))
+    older = {key: value for key, value in before.items() if key != "source"}
+    assert check_continues(path, before, manifest_of(more, {}))
+    for file in ("kraft/driving/replanner.py", "ompl_ext/kernels/dirt.py"):
+        with (tmp_path / file).open("a") as code:
+            code.write("\n")
+        now = manifest_of(more, {})
+        with pytest.raises(InputError, match="the code of kraft that trials run has changed; expected that of the"):
+            check_continues(path, before, now)
+        assert ("source",) in [each.path for each in manifest_differences(before, now)]
+        assert check_continues(path, older, now)
+        assert "source" not in grown_manifest(older, now)  # not what its first trials ran
+        before = manifest_of(experiment, {})
 
 
 def test_what_only_estimators_know_of_a_vehicle_is_compared(tmp_path: Path) -> None:
