@@ -8,6 +8,7 @@ from typing import Final
 
 from kraft.errors import Code, InputError, out_of_range
 from kraft.scenario.planners import PLANNERS
+from kraft.scenario.planning import Planning
 from kraft.text import suggestion
 from ompl_ext.arrays import Floats
 from ompl_ext.interpolation import interpolated_rows
@@ -17,6 +18,9 @@ from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
 RETAINING: Final = ("dirt", "sst")
+UNUSED: Final = {"dirt": (), "sst": ("child_extension",)}
+"""Settings of a scenario that a planner does not have, by its name; those of OMPL's own ones are `UNUSED_BY_OMPL`."""
+UNUSED_BY_OMPL: Final = ("blossom", "goal_bias", "child_extension", "pruning")
 """Planners that can begin with the edges of an earlier plan."""
 
 
@@ -129,6 +133,17 @@ def search_named(planner: str) -> Search:
     if planner not in _SEARCHES:
         raise InputError.of_argument("planner", f"is {planner!r}", suggestion(planner, _SEARCHES), Code.NOT_FOUND)
     return _SEARCHES[planner]
+
+
+def settings_without_effect(planning: Planning) -> str:
+    """What to say of settings other than the defaults that the planner does not have; else empty."""
+    planner, default = planning.planner, Planning()
+    unused = UNUSED.get(planner, UNUSED_BY_OMPL)
+    found = [f"planning.{name}" for name in unused if getattr(planning, name) != getattr(default, name)]
+    if not found:
+        return ""
+    verb = "has" if len(found) == 1 else "have"
+    return f"{', '.join(found)} {verb} no effect with the planner {planner}; expected the planner dirt"
 
 
 def check_threads(planner: str, threads: int) -> None:

@@ -91,6 +91,17 @@ def early_watchdog(method: Method) -> str:
     )
 
 
+def unused_polish(method: Method) -> str:
+    """What to say of a method that asks a planner for local optimisation that does none; else empty."""
+    planner = method.planner
+    if planner.type == "dirt" or not planner.polish:
+        return ""
+    return (
+        f"{method.name} has planner.polish, which has no effect with planner.type {planner.type}: only dirt improves "
+        "plans by local optimisation"
+    )
+
+
 def unguided_goal(task: Task, method: Method) -> str:
     """What to say of a goal's heading and limits that the cost-to-go of the method does not know; else empty."""
     planner, goal = method.planner, task.goal
@@ -121,6 +132,7 @@ WARNINGS: Final[tuple[Callable[[Scenario, Method, Vehicle], str], ...]] = (
     lambda scenario, _method, vehicle: near_start(scenario.task(), vehicle),
     lambda scenario, method, _vehicle: unguided_goal(scenario, method),
     lambda _scenario, method, _vehicle: early_watchdog(method),
+    lambda _scenario, method, _vehicle: unused_polish(method),
     lambda scenario, _method, vehicle: other_robot(scenario, vehicle),
     uncorrected_slope,
 )

@@ -17,7 +17,14 @@ from kraft.planning.compilation import Needs, ensure_all_compiled
 from kraft.planning.feasibility import check_placement, memory_needed, needs_motions
 from kraft.planning.plan import PlanResult, budget_of, plan_task
 from kraft.planning.plan_file import NAME, Origin, check_plan_target, read_plan_file, write_plan
-from kraft.planning.search import Previous, check_previous, check_seed, check_threads, search_named
+from kraft.planning.search import (
+    Previous,
+    check_previous,
+    check_seed,
+    check_threads,
+    search_named,
+    settings_without_effect,
+)
 from kraft.planning.stated_speed import faster_than_stated
 from kraft.planning.workspace import start_state, vehicle_of_task
 from kraft.scenario import Planning, Task, load_scenario
@@ -130,7 +137,7 @@ def run_plan(request: PlanRequest, report: MessageSink, detail: MessageSink = no
     modules = ("sst",) if task.planning.planner == "sst" else ()
     needs = Needs(vehicle, polish=bool(polish), modules=modules) | Needs.of_goal(vehicle, task.goal)
     ensure_all_compiled([needs], report)
-    for warning in (unstated_outside(task), faster_than_stated(vehicle)):
+    for warning in (unstated_outside(task), faster_than_stated(vehicle), settings_without_effect(task.planning)):
         if warning:
             report(f"warning: {warning}")
     needed = memory_needed(task, vehicle)

@@ -14,7 +14,7 @@ from support.diagnostics import located, raised
 from kraft.errors import Code, Defect, InputError
 from kraft.planning.feasibility import check_placement, memory_needed
 from kraft.planning.plan import PlanResult, finds_plan, plan_task
-from kraft.planning.search import Budget, Previous, search_named
+from kraft.planning.search import Budget, Previous, search_named, settings_without_effect
 from kraft.planning.stated_speed import faster_than_stated
 from kraft.planning.workspace import fence, settings_of, start_state, workspace_of
 from kraft.scenario import Task, load_scenario, parse_scenario
@@ -241,6 +241,23 @@ def test_the_edges_of_a_vehicle_that_is_slow_for_its_size_lead_as_far_as_it_is_l
     assert shortest == 0.5 * longest
     assert settings_of(room(), digger).longest == longest
     assert settings_of(parse_scenario(SCENE + "planning: {edge_duration: [1, 2]}\n").task(), digger).longest == 2.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ("planner: rrt", ""),
+        ("planner: rrt, goal_bias: 0.05, safety: {delta: 0.1}", ""),
+        ("planner: dirt, goal_bias: 0.2, child_extension: false", ""),
+        ("planner: sst, goal_bias: 0.2, blossom: 8", ""),
+        ("planner: sst, child_extension: false", "planning.child_extension has no effect with the planner sst"),
+        ("planner: est, blossom: 8, goal_bias: 0.2", "planning.blossom, planning.goal_bias have no effect with the pl"),
+    ],
+)
+def test_settings_that_a_planner_does_not_have_are_said(settings: str, words: str) -> None:
+    task = parse_scenario(f"{SCENE}planning: {{{settings}}}\n").task()
+    said = settings_without_effect(task.planning.with_budget(iterations=3))
+    assert said.startswith(words) if words else said == ""
 
 
 def test_a_top_speed_that_the_model_exceeds_is_named_with_the_speed_it_reaches(mushr: Vehicle) -> None:
