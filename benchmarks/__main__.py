@@ -73,6 +73,11 @@ def main(arguments: list[str] | None = None) -> int:
     effort = replace(QUICK if given.quick else FULL, method=given.method)
     given.out.mkdir(parents=True, exist_ok=True)
     content: dict[str, Any] = {"machine": describe(), "quick": given.quick, "topics": {}}
+    if given.topics and (file := given.out / "results.json").is_file():
+        earlier = json.loads(file.read_text(encoding="utf-8"))
+        if conditions(earlier) != conditions(content):
+            parser.error(f"{file} is of another machine, other versions or another effort; expected another --out")
+        content["topics"] = earlier["topics"]  # but for those that are measured now
     warn_if_busy(content["machine"])
     reports = []
     for topic in given.topics or TOPICS:
@@ -82,6 +87,12 @@ def main(arguments: list[str] | None = None) -> int:
         content["topics"][topic] = {**report.as_json(), "seconds": round(took, 1)}
         (given.out / "results.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return 0 if all(row.met is not False for report in reports for row in report.rows) else 1
+
+
+def conditions(content: dict[str, Any]) -> Any:
+    """What results must have in common to be in one file: all of the machine but its load and the arguments."""
+    same = {key: value for key, value in content["machine"].items() if key not in ("load", "arguments")}
+    return same, content["quick"]
 
 
 def run_topic(topic: str, effort: Effort, out: Path) -> tuple[Report, float]:

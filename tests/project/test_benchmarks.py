@@ -260,6 +260,20 @@ def test_the_command_writes_results(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert content["topics"]["scaling"]["rows"]
 
 
+def test_the_results_of_other_topics_are_kept_and_none_of_other_conditions_are_mixed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = Report("t", [row("q", "s", [1.0])])
+    monkeypatch.setattr("benchmarks.__main__.run_topic", lambda topic, effort, out: (measured, 1.0))
+    for topic in ("scaling", "maps"):
+        assert main([topic, "--quick", "--out", str(tmp_path)]) == 0
+    before = (tmp_path / "results.json").read_text()
+    assert json.loads(before)["topics"].keys() == {"scaling", "maps"}
+    with pytest.raises(SystemExit):
+        main(["scaling", "--out", str(tmp_path)])  # without --quick
+    assert (tmp_path / "results.json").read_text() == before
+
+
 def test_an_unknown_topic_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["plannr"])
