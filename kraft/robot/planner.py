@@ -63,7 +63,7 @@ class Planner:
         """Median time that a command of the user's own controller takes (s), 0 of another one."""
         if not isinstance(self._spec.method.controller, UserCode):
             return 0.0
-        controller, taken = make_controller(self._spec.method.controller, self._model), []
+        controller, taken = make_controller(self._spec.controller, self._model), []
         plan = replace(commitment.reference, kind=ReferenceKind.PLAN)
         for _ in range(3):
             began = perf_counter()
@@ -92,7 +92,7 @@ class Planner:
         spec = self._spec
         method = spec.method
         return Replanner(
-            solvers, method.planner, make_controller(method.controller, self._model), spec.seed,
+            solvers, method.planner, make_controller(spec.controller, self._model), spec.seed,
             period=spec.period, delay=self._estimator.horizon, realtime=True, keep_trees=self._keep_trees,
             command_timeout=spec.robot.command.timeout,
         )  # fmt: skip

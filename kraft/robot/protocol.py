@@ -9,6 +9,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from kraft.driving.control_settings import ControllerSettings
 from kraft.driving.estimation import CameraModel
 from kraft.driving.estimation.adaptive import Learned
 from kraft.driving.messages import Commitment, Cycle, Observation
@@ -35,9 +36,15 @@ class DriveSpec:
     camera: CameraModel | None = None
 
     @property
+    def controller(self) -> ControllerSettings:
+        """Settings of the method's controller, at the rate of the robot's commands if the robot file states one."""
+        own, rate = self.method.controller, self.robot.rate_hz
+        return own if rate is None else own.model_copy(update={"rate_hz": rate})
+
+    @property
     def period(self) -> float:
         """Time from one command to the next, s."""
-        return 1.0 / (self.robot.rate_hz or self.method.controller.rate_hz)
+        return 1.0 / self.controller.rate_hz
 
     @property
     def other_goals(self) -> tuple[Goal, ...]:

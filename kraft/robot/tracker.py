@@ -49,7 +49,7 @@ class Tracker:
         self._spec, self._transport, self._inputs = spec, transport, inputs
         self._codec = CommandCodec(robot, spec.vehicle)
         self.model = model_of(spec.vehicle)
-        self._controller = make_controller(method.controller, self.model)
+        self._controller = make_controller(spec.controller, self.model)
         self.has_own_code = isinstance(method.controller, UserCode)
         self._estimator = make_estimator(method.estimator, self.model, begin.state, spec.camera)
         limit = min(robot.watchdog.pose_age, method.planner.watchdog or math.inf)
@@ -199,7 +199,7 @@ def warm_up(spec: DriveSpec) -> None:
     start = spec.task.start
     state = spec.at_rest((start.x, start.y, start.heading))
     estimator = make_estimator(spec.method.estimator, model, state, spec.camera)
-    controller, codec = make_controller(spec.method.controller, model), CommandCodec(spec.robot, spec.vehicle)
+    controller, codec = make_controller(spec.controller, model), CommandCodec(spec.robot, spec.vehicle)
     times, states, rest = np.array([0.0, 1.0]), np.array([state, state]), model.rest
     reference = Reference(ReferenceKind.PLAN, times, states, rest[np.newaxis], rest)
     for k in range(1, 4):

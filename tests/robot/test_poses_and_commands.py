@@ -10,11 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from kraft.driving import control
 from kraft.driving.car_model import CarModel
+from kraft.driving.control import Controller
+from kraft.driving.control_settings import ControllerSettings
 from kraft.driving.messages import Commitment, Estimate
 from kraft.driving.method import load_method
 from kraft.driving.references import manoeuvre_reference
+from kraft.driving.vehicle_model import VehicleModel
 from kraft.errors import Code, Defect, InputError
+from kraft.robot import tracker as tracker_module
 from kraft.robot.command import CommandCodec, limited, unit_problem, unit_warnings
 from kraft.robot.drive import check_method, on_the_clock
 from kraft.robot.drive_tables import DriveTables
@@ -96,6 +101,29 @@ def test_a_command_that_is_no_number_is_not_sent() -> None:
         tracker.publish(1.0, np.array([math.nan, 0.1]))
     tracker.publish(1.0, np.array([0.0, 0.1]))
     assert sent == [0.0]
+
+
+@pytest.mark.parametrize(("rate", "expected"), [(None, 30.0), (12.0, 12.0)])
+def test_the_controller_computes_with_the_rate_of_the_robots_commands(
+    rate: float | None, expected: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The geometric one integrates over at most two periods, and more of its own pass between commands of 12 Hz."""
+    described, used = robot(**({} if rate is None else {"rate_hz": rate})), list[float]()
+
+    def make_controller(settings: ControllerSettings, model: VehicleModel) -> Controller:
+        used.append(settings.rate_hz)
+        return control.make_controller(settings, model)
+
+    monkeypatch.setattr(tracker_module, "make_controller", make_controller)
+    vehicle = load_vehicle("mushr")
+    spec = DriveSpec(load_scenario("boxes").task(), load_method("oneshot-geometric"), vehicle, described, 60.0)
+    at = spec.at_rest((1.0, 2.0, 0.5))
+    stop = manoeuvre_reference(vehicle, 0, np.array([0.0]), at[np.newaxis])
+    node = LoopbackBus().node("kraft")
+    Tracker(spec, BeginOrder(at, Commitment(stop)), node, Inputs(described, node))
+    assert used == [expected]
+    assert spec.period == pytest.approx(1.0 / expected)
+    assert spec.method.controller.rate_hz == 30.0
 
 
 def test_the_controls_of_any_vehicle_fit_into_joints() -> None:
