@@ -18,10 +18,10 @@ from ompl_ext.solver import DirtSolver
 from ompl_ext.vehicle import Vehicle
 
 RETAINING: Final = ("dirt", "sst")
+"""Planners that can begin with the edges of an earlier plan."""
 UNUSED: Final = {"dirt": (), "sst": ("child_extension",)}
 """Settings of a scenario that a planner does not have, by its name; those of OMPL's own ones are `UNUSED_BY_OMPL`."""
 UNUSED_BY_OMPL: Final = ("blossom", "goal_bias", "child_extension", "pruning")
-"""Planners that can begin with the edges of an earlier plan."""
 
 
 @dataclass(frozen=True)
