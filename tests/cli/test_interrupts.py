@@ -202,7 +202,7 @@ def test_an_interrupt_of_the_first_compilation_leaves_a_cache_that_serves_and_a_
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0
     ) as process:
         assert process.stderr is not None
-        assert process.stderr.readline().startswith("compiling the planner")
+        assert process.stderr.readline().startswith("compiling 5 parts for this machine, once")
         while not list(tmp_path.rglob("*.nbc")):  # the first functions are in the cache, and others not
             assert process.poll() is None
             time.sleep(0.02)
