@@ -26,14 +26,17 @@ from kraft.logs.table import LOG_TIME, Table
 from kraft.text import suggestion
 
 Guess = TypeVar("Guess")
+_WANTED: Final = ("goal", "goals", "waypoint", "waypoints", "initialpose", "clicked")
+"""Words of topics with poses that somebody wants or states: no vehicle was observed there."""
 _TOPIC_HINTS: Final = {
     **dict.fromkeys(("mocap", "vicon", "vrpn", "optitrack", "qualisys", "aruco", "apriltag", "marker", "camera"), 10),
     **dict.fromkeys(("inferred", "amcl", "slam", "localization"), 5),
     **dict.fromkeys(("odom", "odometry"), -5),  # often integrated from the commands
-    **dict.fromkeys(("goal", "initialpose", "target", "waypoint", "goals", "clicked"), -60),
+    **dict.fromkeys((*_WANTED, "target"), -60),
     **dict.fromkeys(("output", "out", "muxed"), 3),  # commands to the vehicle, rather than inputs of a multiplexer
     **dict.fromkeys(("teleop", "safety", "nav", "navigation", "input", "joy", "raw"), -3),
 }
+NAMED_TABLE: Final = "a mapping file can name the topic as `table` of `poses`"
 DEAD_MAN_SWITCH = "the dead-man switch"
 
 
@@ -225,8 +228,14 @@ def guess_poses(tables: Sequence[Table], mapping: Mapping) -> tuple[Stream, tupl
     Raises:
         InputError: without a match or with several equal ones, or if the mapping file names what does not exist.
     """
-    found = named_tables(tables, mapping.poses.table, mapping, "poses", "table")
-    return best_match([match_poses(table, mapping) for table in found], "poses")
+    named = mapping.poses.table
+    found = named_tables(tables, named, mapping, "poses", "table")
+    stream, others = best_match([match_poses(table, mapping) for table in found], "poses")
+    if named is None and set(_WANTED) & set(parse(stream.table.topic).words):
+        problem = f"has no poses but those of {stream.table.topic}, which by its name are not where the vehicle was"
+        expected = f"expected observed poses; if they are, {NAMED_TABLE}"
+        raise InputError([Diagnostic(stream.table.file, problem, expected, code=Code.MISSING)])
+    return stream, others
 
 
 def match_poses(table: Table, mapping: Mapping) -> TableMatch:

@@ -207,6 +207,20 @@ def test_a_tracker_is_preferred_to_odometry_and_the_mux_output_to_its_inputs(tmp
     assert log.guess.endswith("; not used: /mux/input/teleop, /vesc/odom, /move_base/goal")
 
 
+def test_goals_are_poses_only_if_the_mapping_names_them(tmp_path: Path) -> None:
+    with Bag(tmp_path / "a", "mcap") as bag:
+        for time, (speed, steering) in zip(MADE.command_times, MADE.commands, strict=True):
+            bag.ackermann("/drive", nanoseconds(time), speed, steering)
+        for time, pose in zip(MADE.pose_times, MADE.poses, strict=True):
+            bag.stamped_pose("/move_base_simple/goal", nanoseconds(time), *pose)
+    problems, message = refused(tmp_path / "a")
+    assert problems == ["a missing"]
+    assert "has no poses but those of /move_base_simple/goal" in message
+    (tmp_path / "m.yaml").write_text("poses: {table: /move_base_simple/goal}\n")
+    (log,) = read_logs(tmp_path / "a", mapping=load_mapping(tmp_path / "m.yaml")).logs
+    same_drive(log)
+
+
 def test_two_equal_topics_are_a_question(tmp_path: Path) -> None:
     with Bag(tmp_path / "a", "mcap") as bag:
         for time, (speed, steering) in zip(MADE.command_times, MADE.commands, strict=True):
