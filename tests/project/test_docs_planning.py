@@ -62,3 +62,10 @@ def test_every_option_of_kraft_plan_is_described(capsys: pytest.CaptureFixture[s
     options = set(re.findall(r"(?<![\w-])--[a-z]+", capsys.readouterr().out)) - {"--help"}
     assert options
     assert options <= set(re.findall(r"--[a-z]+", PLAN))
+
+
+def test_the_result_shown_of_kraft_plan_has_the_rows_that_it_prints(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = PLAN.split("```console\n$ kraft plan turns\n")[1].split("```")[0]
+    assert main(["plan", "turns", "--iterations", "200"]) == 0
+    printed = capsys.readouterr().out
+    assert re.findall(r"^[a-z ]+?(?=  )", shown, re.MULTILINE) == re.findall(r"^[a-z ]+?(?=  )", printed, re.MULTILINE)
