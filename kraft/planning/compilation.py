@@ -171,7 +171,7 @@ def _add_missing(missing: Missing, needs: Needs) -> None:
     if not is_cached(vehicle):
         if not is_model_cached(vehicle):
             before[_model_of(vehicle)] = partial(model_step, vehicle)
-        after[f"the planner for {vehicle.name}", code] = partial(_exercise, vehicle)
+        after[f"the checks for {vehicle.name}", code] = partial(_exercise, vehicle)
     if needs.steps and not are_steps_cached(vehicle):
         before[f"the steps of the model of {vehicle.name}", code] = partial(step_kernels, vehicle)
     if needs.steps and not _is_identification_cached():

@@ -98,7 +98,7 @@ SHARED: Final = {
     MAPS: SharedKernels("the maps", compile_maps),
     POSES: SharedKernels("the cost-to-go of poses", _compile_poses),
     FILTER: SharedKernels("the pose filter", _compile_filter),
-    CONTROL: SharedKernels("the control", _compile_control),
+    CONTROL: SharedKernels("the controllers", _compile_control),
 }
 """Those that take longest first."""
 
@@ -187,13 +187,18 @@ class Meanwhile:
 
     def finish(self, check: Callable[[], None]) -> None:
         """Compile what no process has begun, and wait for the processes; `check` is called often meanwhile."""
-        while self._left:
-            self._compile_here(self._left.popleft())
+        while (name := self._take()) is not None:
+            self._compile_here(name)
         while any(thread.is_alive() for thread in self._threads):
             check()
             time.sleep(POLL)
         for name in self._failed:
             self._compile_here(name)
+
+    def _take(self) -> str | None:
+        """Next part that nobody has begun, None if there is none."""
+        with self._lock:
+            return self._left.popleft() if self._left else None
 
     def _compile_here(self, name: str) -> None:
         with self._progress.part(SHARED[name].title):
@@ -201,11 +206,7 @@ class Meanwhile:
 
     def _serve(self) -> None:
         """Have one part after the other compiled by a process each (main function of a thread)."""
-        while self._left:
-            try:
-                name = self._left.popleft()
-            except IndexError:  # another thread was faster
-                return
+        while (name := self._take()) is not None:
             try:
                 with self._progress.part(SHARED[name].title):
                     self._run(name)

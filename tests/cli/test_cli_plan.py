@@ -175,7 +175,7 @@ def test_the_first_run_says_that_it_compiles_and_a_quiet_one_does_not(
     monkeypatch.setattr(kernel_cache, "is_cached", lambda _: False)
     assert main(["plan", "room.yaml"]) == 0
     lines = capsys.readouterr().err.splitlines()
-    what = "compiling the planner for mushr for this machine, once"
+    what = "compiling the checks for mushr for this machine, once"
     assert lines[0] == f"{what}: up to a minute, or some minutes if the machine is busy ..."
     assert lines[1].startswith("compiled in ")
     assert main(["plan", "room.yaml", "-q"]) == 0

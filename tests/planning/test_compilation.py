@@ -100,7 +100,7 @@ def test_what_several_vehicles_need_is_one_compilation_(
     ensure_all_compiled([Needs(load_vehicle(name)) for name in ("mushr", "jackal")], messages.append)
     assert compiled == ["mushr", "jackal"]
     assert messages[0].startswith("compiling 2 parts for this machine, once: ")
-    assert messages[0].endswith(": the planner for mushr; the planner for jackal ...")
+    assert messages[0].endswith(": the checks for mushr; the checks for jackal ...")
     assert [message for message in messages if message.startswith("compil")] == [messages[0], messages[-1]]
 
 
