@@ -16,6 +16,7 @@ from kraft.evaluation.journal import Journal, Key, TrialRow, read_journal
 from kraft.evaluation.manifest import MANIFEST, check_continues, grown_manifest, manifest_of, read_manifest
 from kraft.evaluation.ompl_benchmark import benchmark_files, write_benchmark
 from kraft.evaluation.report import CommandLine, Results
+from kraft.evaluation.report.results import parts_of_manifest
 from kraft.evaluation.summary import FILE as SUMMARY
 from kraft.evaluation.summary import SCHEMA, Summary, evaluation_json, recorded_wall, wall_of
 from kraft.files import check_new_folder, write_json, write_whole
@@ -126,6 +127,7 @@ def check_resumable(path: Path, experiment: Experiment, arguments: Mapping[str, 
         return None
     was = read_manifest(path / MANIFEST)
     check_continues(path / MANIFEST, was, manifest_of(experiment, arguments))
+    parts_of_manifest(path / MANIFEST, was)  # before the trials: the report is the last that is written
     return was
 
 

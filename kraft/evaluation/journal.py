@@ -366,9 +366,12 @@ class Replays:
         try:
             content = json.loads(line)
             key = str(content["entry"]), str(content["method"]), int(content["seed"])
-            return key, Replay(str(content["drive"]), content["trees"])
-        except (ValueError, KeyError, TypeError):
+            drive, trees = content["drive"], content["trees"]
+            if not isinstance(drive, str) or not isinstance(trees, str | None):
+                raise TypeError
+        except (ValueError, KeyError, TypeError, OverflowError):
             raise InputError([_line_problem(self._path, number, "is not a replay", Code.SYNTAX)]) from None
+        return key, Replay(drive, trees)
 
 
 def _unreadable(path: Path, error: OSError) -> InputError:

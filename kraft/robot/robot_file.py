@@ -271,11 +271,13 @@ class Robot(StrictModel):
     @classmethod
     def across_keys(cls, content: Mapping[str, object]) -> Iterator[PydanticCustomError]:
         """Topics that are named twice, and units and signs that the type of the commands does not have."""
-        places: dict[object, str] = {}
+        places: dict[str, str] = {}
         for part in ("pose", "command", "dead_man", "goal", "map", "clock"):
             section = content.get(part)
             topic = section.get("topic") if isinstance(section, Mapping) else None
-            if topic is not None and topic in places:
+            if not isinstance(topic, str):
+                continue
+            if topic in places:
                 problem = f"is {topic}, as {places[topic]}.topic is"
                 yield refuse(problem, "expected a topic for each", (part, "topic"), Code.DUPLICATE)
             places.setdefault(topic, part)

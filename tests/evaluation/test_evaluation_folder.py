@@ -22,7 +22,7 @@ import kraft.evaluation.manifest
 from kraft.errors import Code, InputError
 from kraft.evaluation import Evaluation, Observer, TrialRow, evaluate, folder
 from kraft.evaluation.experiment import experiment_of
-from kraft.evaluation.journal import Journal, read_journal
+from kraft.evaluation.journal import Journal, Replays, read_journal
 from kraft.evaluation.manifest import check_continues, grown_manifest, manifest_differences, manifest_of
 from kraft.vehicles.load import load_vehicle
 
@@ -217,6 +217,23 @@ def test_a_damaged_manifest_is_refused(tmp_path: Path, content: dict[str, Any], 
     (tmp_path / "out/manifest.json").write_text(json.dumps(content))
     with refused((tmp_path / "out/manifest.json", code)):
         run(tmp_path / "out", resume=True)
+
+
+def test_parts_of_a_manifest_that_only_the_report_needs_are_checked_before_the_trials(tmp_path: Path) -> None:
+    run(tmp_path / "out")
+    file = tmp_path / "out/manifest.json"
+    file.write_text(json.dumps({key: value for key, value in json.loads(file.read_text()).items() if key != "began"}))
+    with refused((file, Code.SYNTAX)):
+        run(tmp_path / "out", resume=True)
+
+
+@pytest.mark.parametrize("part", ["drive", "trees", "seed"])
+def test_a_replay_with_a_part_of_another_type_is_refused_at_its_line(tmp_path: Path, part: str) -> None:
+    file = tmp_path / "replays.jsonl"
+    replay = {"entry": "turns", "method": "kraft", "seed": 0, "drive": "", "trees": None}
+    file.write_text(json.dumps(replay) + "\n" + json.dumps(replay | {part: [1]}) + "\n")
+    with refused((f"{file}:2:1", Code.SYNTAX)):
+        Replays(file)
 
 
 def test_there_must_be_something_to_go_on_with(tmp_path: Path) -> None:

@@ -56,6 +56,7 @@ def test_a_good_file_has_no_problems(tmp_path: Path) -> None:
         ("PoseStamped}", "Pose2D}", "pose.type", 3, Code.VALUE),
         ("topic: /pose", "topic: pose", "pose.topic", 3, Code.VALUE),
         ("topic: /pose", "topic: /drive", "command.topic", 4, Code.DUPLICATE),
+        ("topic: /pose", "topic: {a: /pose}", "pose.topic", 3, Code.TYPE),
         ("/drive}", "/drive, speed: {scale: 0}}", "command.speed.scale", 4, Code.VALUE),
         ("/drive}", "/drive, speed: {unit: km/h}}", "command.speed.unit", 4, Code.VALUE),
         ("/drive}", "/drive, timeout: -1}", "command.timeout", 4, Code.VALUE),

@@ -253,6 +253,20 @@ class RecordedTrials:
         return len(self.manifest.rows) * self.manifest.trials - len(self.rows)
 
 
+def parts_of_manifest(file: Path, content: Mapping[str, Any]) -> Manifest:
+    """Parts of a manifest that the report uses.
+
+    Raises:
+        InputError: with the first part that is missing or is not what kraft eval writes.
+    """
+    try:
+        return Manifest.model_validate(content)
+    except ValidationError as error:
+        where = ".".join(str(part) for part in error.errors()[0]["loc"])
+        expected = "expected the manifest that kraft eval writes"
+        raise InputError([Diagnostic(str(file), "is damaged", expected, path=where, code=Code.SYNTAX)]) from None
+
+
 def read_trials(folder: Path) -> RecordedTrials:
     """Read manifest and trials of a complete or unfinished evaluation.
 
@@ -266,12 +280,7 @@ def read_trials(folder: Path) -> RecordedTrials:
     if not file.exists():
         raise InputError.of(str(folder), f"has no {MANIFEST}", EXPECTED, Code.NOT_FOUND)
     content = read_manifest(file)
-    try:
-        found = Manifest.model_validate(content)
-    except ValidationError as error:
-        where = ".".join(str(part) for part in error.errors()[0]["loc"])
-        expected = "expected the manifest that kraft eval writes"
-        raise InputError([Diagnostic(str(file), "is damaged", expected, path=where, code=Code.SYNTAX)]) from None
+    found = parts_of_manifest(file, content)
     trials = {(cell.name, cell.method, seed) for cell in found.rows for seed in found.seeds}
     rows = journal.read_journal(folder / journal.NAME, trials)
     _check_complete(folder, rows, len(trials))
