@@ -32,6 +32,7 @@ class ChangeRequests:
         self._new: NewGoal | None = None  # the newest one, if the planner has not got it yet
         self._unanswered: TaskChange | None = None  # the change that the planner has not answered
         self._decisions = 0  # number of decisions until the next change
+        self._problem = ""  # why the goal cannot be reached, as far as the planner knows
 
     def take(self, goal: NewGoal) -> None:
         """Take a goal that has arrived, unless it is the newest one already."""
@@ -54,12 +55,17 @@ class ChangeRequests:
         if not self._unanswered:  # else it was asked for before the change
             self._decisions = max(0, self._decisions - 1)
 
-    def answered(self, answer: TaskTaken) -> None:
-        """Note the answer to the change."""
+    def answered(self, answer: TaskTaken) -> list[str]:
+        """Note the answer to the change; returns what is new in it, of the problem of a goal once for all maps."""
         self._unanswered = None
         if answer.seconds > LONG * self._cycle:
             self._decisions = DECISIONS
         self._goal = self._goal if answer.goal is None else answer.goal
+        news = [answer.refused] if answer.refused else []
+        if answer.problem != self._problem:
+            self._problem = answer.problem
+            news.append(answer.problem or "the goal can be reached, as far as is known")
+        return news
 
     @property
     def open_goals(self) -> list[NewGoal]:

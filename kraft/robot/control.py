@@ -397,11 +397,11 @@ class ControlLoop:
 
     def _take_answer(self, now: float, answer: TaskTaken) -> None:
         """Take over the goal that the planner has taken; it may have refused one."""
-        self._changes.answered(answer)
+        news = self._changes.answered(answer)
         if answer.goal is not None:
             self._arrival.move(answer.goal)
-        if answer.problem:
-            self._event(now, answer.problem)
+        for text in news:
+            self._event(now, text)
 
     def _sensed(self) -> Sense:
         """What was sensed since the last call."""

@@ -132,12 +132,13 @@ class Planner:
         """
         assert self._replanner is not None, "it has begun"
         began = perf_counter()
-        task, goal = changed(self._task, change.goal, change.map), change.goal
-        if problem := self._goal_problem(task):
-            if goal is not None:
-                x, y = self._task.goal.center
-                problem, goal = f"{problem}: the last one, ({x:g}, {y:g}), stays", None
+        task, goal, refused = changed(self._task, change.goal, change.map), change.goal, ""
+        problem = self._goal_problem(task)
+        if problem and goal is not None:
+            x, y = self._task.goal.center
+            goal, refused = None, f"{problem}: the last one, ({x:g}, {y:g}), stays"
             task = changed(self._task, None, change.map)
+            problem = self._goal_problem(task)
         before, self._task = map_of(self._task), task
         blocked = self._replanner.blocked
         if (grid := change.map) is not None:  # where it has news, what blocked the vehicle is part of it, or is gone
@@ -147,7 +148,7 @@ class Planner:
         self._replanner.set_solvers(self._solvers, blocked)
         taken = perf_counter() - began
         self._changing += taken
-        return TaskTaken(goal, problem, taken)
+        return TaskTaken(goal, problem, refused, taken)
 
     def _goal_problem(self, task: Task) -> str:
         """Why the vehicle cannot get to the goal of a task; empty if nothing is known against it."""

@@ -147,13 +147,15 @@ class TaskChange:
 
 @dataclass(frozen=True)
 class TaskTaken:
-    """Answer to a change: the goal that holds from now on if it is new, and why one cannot be reached.
+    """Answer to a change: the goal that holds from now on if it is new.
 
-    `seconds` is the time that it took.
+    `problem` is why the goal that holds cannot be reached, `refused` why the new one was not taken; `seconds` is the
+    time that the change took.
     """
 
     goal: NewGoal | None
     problem: str = ""
+    refused: str = ""
     seconds: float = 0.0
 
 

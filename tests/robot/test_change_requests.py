@@ -64,13 +64,25 @@ def test_only_a_goal_that_is_not_the_newest_one_already_is_new() -> None:
     assert asked(second) == TaskChange(second, None)
     assert asked(second) is None, "it is not answered yet"
     assert changes.open_goals == [second]
-    changes.answered(TaskTaken(None, "it is in an obstacle"))
+    assert changes.answered(TaskTaken(None, refused="it is in an obstacle")) == ["it is in an obstacle"]
     assert changes.open_goals == []
     assert asked(second) == TaskChange(second, None), "it may be free now"
     assert asked(FIRST) is None
     assert changes.open_goals == [second, FIRST], "the planner may take the other one"
     changes.answered(TaskTaken(second))
     assert asked(FIRST) == TaskChange(FIRST, None)
+
+
+def test_a_goal_that_cannot_be_reached_is_told_once_and_when_it_can_be_reached_again() -> None:
+    changes, blocked = ChangeRequests(1.0, GOAL), "the goal (2, 8) is unreachable"
+    answers = [
+        TaskTaken(None), TaskTaken(None, blocked), TaskTaken(None, blocked), TaskTaken(None, blocked, "out of bounds"),
+        TaskTaken(None), TaskTaken(None, blocked),
+    ]  # fmt: skip
+    told = [changes.answered(answer) for answer in answers]
+    assert told == [
+        [], [blocked], [], ["out of bounds"], ["the goal can be reached, as far as is known"], [blocked],
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("seconds", "decisions"), [(0.1, 1), (0.8, 4)])

@@ -119,12 +119,16 @@ def test_a_goal_that_cannot_be_reached_is_not_taken_and_the_last_one_stays() -> 
     x, y = task.goal.center
     taken = planner.change(TaskChange(NewGoal((50.0, 2.0)), None))
     assert taken.goal is None
-    assert taken.problem == f"the goal (50, 2) is out of bounds: the last one, ({x:g}, {y:g}), stays"
+    assert taken.refused == f"the goal (50, 2) is out of bounds: the last one, ({x:g}, {y:g}), stays"
+    assert taken.problem == ""
     taken = planner.change(TaskChange(NewGoal((x, y)), None))
-    assert (taken.goal, taken.problem) == (NewGoal((x, y)), "")
+    assert (taken.goal, taken.problem, taken.refused) == (NewGoal((x, y)), "", "")
     wall = OccupancyMap(np.ones((10, 10), bool), 0.1, (x - 0.5, y - 0.5, 0.0), name="map")
     taken = planner.change(TaskChange(None, wall))
     assert (taken.goal, taken.problem) == (None, f"the goal ({x:g}, {y:g}) is in collision with 'map'")
+    taken = planner.change(TaskChange(NewGoal((50.0, 2.0)), None))
+    assert taken.refused.startswith("the goal (50, 2) is out of bounds: ")
+    assert taken.problem == f"the goal ({x:g}, {y:g}) is in collision with 'map'", "which the last one still is"
 
 
 @pytest.mark.slow
@@ -136,6 +140,7 @@ def test_plans_end_with_the_heading_of_a_new_goal() -> None:
     heading, tolerance = math.radians(150), math.radians(15)
     taken = planner.change(TaskChange(NewGoal(task.goal.center, heading, tolerance), None))
     assert not taken.problem
+    assert not taken.refused
     planner.decide(DecisionRequest(-0.3, 0, Sense(0), begun.commitment))
     assert planner._replanner is not None
     for _ in range(20):  # a search by the clock of a busy machine may find nothing in time
