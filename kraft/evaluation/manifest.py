@@ -39,8 +39,8 @@ SECTIONS: Final = ("scenarios", "methods", "vehicles")
 """Sections with one entry for each name."""
 PACKAGES: Final = (Path(kraft.__file__).parent, Path(ompl_ext.__file__).parent)
 """Folders of `kraft` and `ompl_ext`."""
-OF_TRIALS: Final = ("driving", "planning", "scenario", "simulation", "trial", "vehicles")
-"""Subpackages of `kraft` on which the results of trials depend, beside all of `ompl_ext`."""
+OF_TRIALS: Final = ("driving", "planning", "scenario", "simulation", "sysid", "trial", "vehicles")
+"""Subpackages of `kraft` on which the results of trials depend, beside all of `ompl_ext`: also identification."""
 SOURCE: Final = "source"
 """Key of the hash of the code on which they depend; older manifests have none."""
 ROW_KEYS: Final = {"scenario", "method", "vehicle"}
