@@ -142,7 +142,7 @@ def test_an_interrupt_of_the_check_list_ends_it_at_once(tmp_path: Path) -> None:
         began = time.monotonic()
         out, _ = process.communicate(timeout=30.0)
     server.close()
-    assert time.monotonic() - began < 8.0
+    assert time.monotonic() - began < 12.0, "it has not waited to the end, but the machine may be busy"
     assert process.returncode == 130
     driven = json.loads(out)
     assert (driven["outcome"], driven["reason"], driven["cycles"]) == ("interrupted", "by a signal", 0)
