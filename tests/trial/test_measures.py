@@ -168,6 +168,11 @@ def test_after_a_lost_message_the_motion_is_compared_with_the_contingency_on_boa
     assert (alone.plans.ticks, alone.plans.held) == (60, 21)  # where the lost plan begins, too
 
 
+def test_nothing_is_compared_after_the_end_of_the_prediction() -> None:
+    found = measure([straight(0)], drive(2.0, aside=0.01), FOOTPRINT, POSE)
+    assert (found.plans.ticks, found.plans.held, len(found.deviation_mm)) == (20, 20, 10)
+
+
 def test_nothing_is_compared_while_the_watchdog_stops_the_car() -> None:
     steps = [replace(step, watchdog=step.time > 0.475) for step in drive(1.0, aside=1.0)]
     found = measure([straight(0)], steps, FOOTPRINT, POSE, watchdog_stops=1)

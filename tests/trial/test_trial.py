@@ -131,6 +131,7 @@ def test_a_trial_succeeds_where_the_vehicle_truly_is_in_the_goal(tmp_path: Path)
     assert (result.outcome, result.obstacle) == (Outcome.SUCCESS, None)
     assert math.dist(result.steps[-1].pose[:2], (3.4, 1.0)) < 0.4 + 0.05  # at the tick before
     assert all(math.dist(step.pose[:2], (3.4, 1.0)) > 0.4 for step in result.steps)
+    assert 0.0 < result.time - result.steps[-1].time <= 0.034 + 1e-9  # its arrival is tested at frames and commands
     assert 0.0 < result.min_clearance < math.inf
 
 
@@ -168,6 +169,7 @@ def test_one_shot_decides_once(tmp_path: Path) -> None:
     assert result.time > 3.0
     assert len(result.cycles) == 1
     assert {step.cycle for step in result.steps} == {0}
+    assert len(result.measures.deviation_mm) == 10  # it is predicted for its first cycle, of 1 s
 
 
 FAR = SCENE.replace("x: [0, 5]", "x: [0, 9]").replace("center: [3.4, 1]", "center: [8, 1]") + AIMLESS
