@@ -86,11 +86,11 @@ def manifest_of(experiment: Experiment, arguments: Mapping[str, Any]) -> dict[st
         "methods": {cell.method.name: _hashed(_method(cell.method)) for cell in cells},
         "vehicles": {labels[reference]: _hashed(content) for reference, content in vehicles.items()},
         "versions": versions(SIMULATION),
-        SOURCE: source_hash(),
+        SOURCE: trial_code_hash(),
     }
 
 
-def source_hash() -> str:
+def trial_code_hash() -> str:
     """SHA-256 of the code on which the results of trials depend: of a clone it changes within a version."""
     (package, planner), digest = PACKAGES, hashlib.sha256()
     for folder in (*(package / name for name in OF_TRIALS), planner):

@@ -36,7 +36,6 @@ _TOPIC_HINTS: Final = {
     **dict.fromkeys(("output", "out", "muxed"), 3),  # commands to the vehicle, rather than inputs of a multiplexer
     **dict.fromkeys(("teleop", "safety", "nav", "navigation", "input", "joy", "raw"), -3),
 }
-NAMED_TABLE: Final = "a mapping file can name the topic as `table` of `poses`"
 DEAD_MAN_SWITCH = "the dead-man switch"
 
 
@@ -233,7 +232,7 @@ def guess_poses(tables: Sequence[Table], mapping: Mapping) -> tuple[Stream, tupl
     stream, others = best_match([match_poses(table, mapping) for table in found], "poses")
     if named is None and set(_WANTED) & set(parse(stream.table.topic).words):
         problem = f"has no poses but those of {stream.table.topic}, which by its name are not where the vehicle was"
-        expected = f"expected observed poses; if they are, {NAMED_TABLE}"
+        expected = "expected observed poses; if they are, a mapping file can name the topic as `table` of `poses`"
         raise InputError([Diagnostic(stream.table.file, problem, expected, code=Code.MISSING)])
     return stream, others
 

@@ -39,6 +39,11 @@ def same_drive(log: Log, made: Drive = MADE, atol: float = 1e-8) -> None:
     np.testing.assert_allclose(part.commands, made.commands, atol=1e-7)  # float32 in the message
 
 
+def add_commands(bag: Bag) -> None:
+    for time, (speed, steering) in zip(MADE.command_times, MADE.commands, strict=True):
+        bag.ackermann("/drive", nanoseconds(time), speed, steering)
+
+
 def refused(path: Path) -> tuple[list[str], str]:
     """Place, topic and code of each problem, and the whole message."""
     with pytest.raises(InputError) as error:
@@ -209,8 +214,7 @@ def test_a_tracker_is_preferred_to_odometry_and_the_mux_output_to_its_inputs(tmp
 
 def test_goals_are_poses_only_if_the_mapping_names_them(tmp_path: Path) -> None:
     with Bag(tmp_path / "a", "mcap") as bag:
-        for time, (speed, steering) in zip(MADE.command_times, MADE.commands, strict=True):
-            bag.ackermann("/drive", nanoseconds(time), speed, steering)
+        add_commands(bag)
         for time, pose in zip(MADE.pose_times, MADE.poses, strict=True):
             bag.stamped_pose("/move_base_simple/goal", nanoseconds(time), *pose)
     problems, message = refused(tmp_path / "a")
@@ -223,8 +227,7 @@ def test_goals_are_poses_only_if_the_mapping_names_them(tmp_path: Path) -> None:
 
 def test_two_equal_topics_are_a_question(tmp_path: Path) -> None:
     with Bag(tmp_path / "a", "mcap") as bag:
-        for time, (speed, steering) in zip(MADE.command_times, MADE.commands, strict=True):
-            bag.ackermann("/drive", nanoseconds(time), speed, steering)
+        add_commands(bag)
         for time, pose in zip(MADE.pose_times, MADE.poses, strict=True):
             bag.odometry("/car1/odom", nanoseconds(time), *pose)
             bag.odometry("/car2/odom", nanoseconds(time), *pose)

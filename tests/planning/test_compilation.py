@@ -90,9 +90,7 @@ def test_each_part_that_is_compiled_is_told(monkeypatch: pytest.MonkeyPatch) -> 
     assert messages[4].startswith("compiled in 0 s")
 
 
-def test_what_several_vehicles_need_is_one_compilation_(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_several_vehicles_need_is_one_compilation(monkeypatch: pytest.MonkeyPatch) -> None:
     messages, compiled = list[str](), list[str]()
     for cached, yes in (("is_compiled", True), ("is_model_cached", True), ("is_cached", False)):
         monkeypatch.setattr(f"kraft.planning.compilation.{cached}", lambda _, yes=yes: yes)
