@@ -94,12 +94,14 @@ SLUG_MAX: Final = 100
 def slugs(names: Iterable[str]) -> dict[str, str]:
     """Each name as a part of a file's name or of an address, with hyphens for other characters; all are different."""
     found: dict[str, str] = {}
+    taken: set[str] = set()
     for name in names:
         slug = unique = re.sub(r"[^\w.=+-]+", "-", name).encode()[:SLUG_MAX].decode(errors="ignore")
         number = 1
-        while unique in found.values():
+        while unique in taken:
             number += 1
             unique = f"{slug}-{number}"
+        taken.add(unique)
         found[name] = unique
     return found
 

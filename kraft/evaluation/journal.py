@@ -11,17 +11,18 @@ import json
 import os
 from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import Final, Literal, TypeAlias
+from typing import Final, Literal, Self, TypeAlias
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 
 from kraft.errors import Code, Diagnostic, InputError
 from kraft.evaluation.replay import Replay
 from kraft.files import LineFile, unwritable
 from kraft.text import finite
 from kraft.trial.cause import Cause
-from kraft.trial.measures import Measures, Record
+from kraft.trial.measures import Amount, Count, Measures, Record
 from kraft.trial.result import TrialResult
 
 Key: TypeAlias = tuple[str, str, int]
@@ -51,12 +52,12 @@ class Measured(Record):
     `elapsed_s` the time for which the evaluation had run when it ended; 0 in older evaluations.
     """
 
-    planning_ms: tuple[float, ...] = ()
-    missed: int = 0
-    command_us: tuple[int, ...] = ()
-    late_commands: int = 0
-    wall_s: float = 0.0
-    elapsed_s: float = 0.0
+    planning_ms: tuple[Amount, ...] = ()
+    missed: Count = 0
+    command_us: tuple[Count, ...] = ()
+    late_commands: Count = 0
+    wall_s: Amount = 0.0
+    elapsed_s: Amount = 0.0
 
 
 class TrialRow(Record):
@@ -80,12 +81,12 @@ class TrialRow(Record):
     method: str
     seed: int
     outcome: Literal["success", "collision", "timeout", "failed"]
-    t_s: float | None = None
+    t_s: Amount | None = None
     obstacle: str | None = None
     min_clearance_m: float | None = None
-    cycles: int = 0
-    contingencies: int = 0
-    iterations: int = 0
+    cycles: Count = 0
+    contingencies: Count = 0
+    iterations: Count = 0
     digest: str | None = None
     error: str | None = None
     own_code: bool = False
@@ -93,6 +94,12 @@ class TrialRow(Record):
     measures: Measures = Measures()
     measured: Measured = Measured()
     replay: Replay | None = Field(default=None, exclude=True, repr=False)
+
+    @model_validator(mode="after")
+    def _check_time(self) -> Self:
+        if self.t_s is None and self.outcome != "failed":
+            raise PydanticCustomError("time", "a {outcome} without a time t_s", {"outcome": self.outcome})
+        return self
 
     @property
     def key(self) -> Key:
@@ -198,8 +205,8 @@ def read_journal(path: Path, expected: Collection[Key] | None = None) -> dict[Ke
     for number, line in enumerate(content[:complete].splitlines(), start=1):
         try:
             row = TrialRow.model_validate_json(line)
-        except ValidationError:
-            problems.append(_line_problem(path, number, "is not a trial", Code.SYNTAX))
+        except ValidationError as error:
+            problems.append(_line_problem(path, number, f"is not a trial ({_reason(error)})", Code.SYNTAX))
             continue
         name = f"{', '.join(row.key[:2])}, seed {row.seed}"
         if expected is not None and row.key not in expected:
@@ -210,6 +217,13 @@ def read_journal(path: Path, expected: Collection[Key] | None = None) -> dict[Ke
     if problems:
         raise InputError(problems)
     return rows
+
+
+def _reason(error: ValidationError) -> str:
+    """What is wrong with a row first, and at which key."""
+    first = error.errors(include_url=False)[0]
+    text = f"{first['msg'][:1].lower()}{first['msg'][1:]}"
+    return ": ".join([".".join(map(str, first["loc"])), text] if first["loc"] else [text])
 
 
 def _line_problem(path: Path, line: int, problem: str, code: Code) -> Diagnostic:

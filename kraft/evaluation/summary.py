@@ -14,6 +14,7 @@ from kraft.evaluation.journal import Key, TrialRow, elapsed, success_times
 from kraft.evaluation.paper import PaperRow, paper_row
 from kraft.evaluation.statistics import McNemar, mcnemar, percentile, while_driving, wilson
 from kraft.scenario import Score
+from kraft.text import finite
 from kraft.trial.measures import BAND, Measures, pooled
 
 SCHEMA: Final = "kraft.eval/1"
@@ -236,10 +237,10 @@ def wall_of(recorded: float | None, rows: Iterable[TrialRow]) -> float:
 def recorded_wall(folder: Path) -> float | None:
     """Duration of an evaluation in the summary of its folder, s; 0 without a summary, None if it is damaged."""
     try:
-        return float(json.loads((folder / FILE).read_bytes())["wall_s"])
+        return finite(float(json.loads((folder / FILE).read_bytes())["wall_s"]))
     except FileNotFoundError:
         return 0.0
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, OverflowError, RecursionError, KeyError, TypeError):
         return None
 
 

@@ -27,6 +27,9 @@ REST: Final = 0.5
 COASTING: Final = 2.5
 """Time without drive at its end, s, so that every log shows how the vehicle slows down."""
 
+LONGEST: Final = 3600.0
+"""Longest manoeuvre of a file, s."""
+
 COMMAND_RATE: Final = 20.0
 """Rate of the commands, 1/s: not the camera's, so that the two are asynchronous, as on a real car."""
 
@@ -172,6 +175,7 @@ def read_commands(path: Path, limits: Mapping[str, tuple[float, float]]) -> Mano
     checks = [
         (~np.isfinite(times), "t is not a number", "expected a time in s"),
         (np.diff(times, prepend=-np.inf) <= 0.0, "t does not ascend", "expected a later time than in the line before"),
+        (times > times[:1] + LONGEST, "t is too late", f"expected at most {LONGEST:g} s after the first row"),
     ]
     for name, column in zip(limits, controls.T, strict=True):
         low, high = limits[name]

@@ -14,9 +14,11 @@ The car's own friction never counts: floor, patches, bumps and boxes have higher
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
+import mujoco
 import numpy as np
 
 from kraft.errors import Defect
@@ -88,7 +90,7 @@ class CollisionDetector:
     """Detects contacts between car and obstacles in a compiled world."""
 
     def __init__(self, model: Any, data: Any, scenario: Scenario, frame: FloorFrame, root: str, by_rows: bool) -> None:
-        self._data, self._frame = data, frame
+        self._model, self._data, self._frame = model, data, frame
         self._labels = scenario.obstacle_labels
         names = [model.geom(geom).name for geom in range(model.ngeom)]
         self._obstacle = np.array([_index("obstacle", name) for name in names])
@@ -105,6 +107,26 @@ class CollisionDetector:
         deep = contact.geom[contact.dist < -MAX_PENETRATION]
         boxes = self._movable[deep[self._of_car[deep].any(axis=1)]]
         return sorted(set(boxes[boxes >= 0].tolist()))
+
+    def overlapping_boxes(self) -> Iterator[tuple[int, str]]:
+        """Each movable box in an obstacle or in an earlier movable box, by more than a contact, and the other's name.
+
+        Boxes that sleep have no contacts yet, so distances are measured.
+        """
+        model, data = self._model, self._data
+        for geom in np.flatnonzero(self._movable >= 0).tolist():
+            box = int(self._movable[geom])
+            others = np.flatnonzero(self._solid | ((self._movable >= 0) & (self._movable < box)))
+            apart = np.linalg.norm(data.geom_xpos[others] - data.geom_xpos[geom], axis=1)
+            near = others[apart < model.geom_rbound[others] + model.geom_rbound[geom]]
+            for other in near.tolist():
+                if mujoco.mj_geomDistance(model, data, geom, other, 0.0, None) < -MAX_PENETRATION:
+                    is_box = self._movable[other] >= 0
+                    yield (
+                        box,
+                        f"movable_boxes[{self._movable[other]}]" if is_box else self._labels[self._obstacle[other]],
+                    )
+                    break
 
     @property
     def depth_in_floor(self) -> float:

@@ -47,7 +47,7 @@ class World:
         Without `visuals` it lacks what is only there to be seen, and steps take a tenth less time.
 
         Raises:
-            InputError: if a movable box overlaps the robot at the start.
+            InputError: if a movable box overlaps the robot, an obstacle or another one at the start.
         """
         robot = robot or SimulatedCar(design_of(scenario.truth.car or CarDimensions()))
         self.controls: Final = robot.controls
@@ -68,7 +68,7 @@ class World:
         self._steps = 0
         self._place: tuple[float, float, float] | None = None  # pose of the robot, once it was asked for
         self.reset()
-        self._check_start(scenario)
+        self._check_boxes(scenario)
 
     def reset(self, start: Start | None = None, run: int | None = None) -> None:
         """Return to time 0 and to `start` (the scenario's if None), with zero controls; runs have no noise."""
@@ -209,13 +209,15 @@ class World:
         mujoco.mj_step1(self.model, self.data)
         self._place = None
 
-    def _check_start(self, scenario: Scenario) -> None:
-        """Check that no movable box overlaps the car at the start, because contact forces would throw them apart."""
-        problem, expected = "stands where the car starts", "expected a box beside the start"
-        keys = [("truth", "movable_boxes", i) for i in self._contacts.boxes_in_car()]
-        if keys:
-            diagnostic = scenario.source.diagnostic
-            raise InputError(diagnostic(key, problem, expected, code=Code.GEOMETRY) for key in keys)
+    def _check_boxes(self, scenario: Scenario) -> None:
+        """Check that no movable box overlaps anything at the start, because contact forces would throw it away."""
+        in_car = self._contacts.boxes_in_car()
+        found = [(i, "stands where the car starts", "expected a box beside the start") for i in in_car]
+        for i, other in self._contacts.overlapping_boxes():
+            found.append((i, f"overlaps {other}", "expected a box that stands free or only touches"))
+        if found:
+            diagnostic = partial(scenario.source.diagnostic, code=Code.GEOMETRY)
+            raise InputError(diagnostic(("truth", "movable_boxes", i), *texts) for i, *texts in found)
 
     @property
     def _planar_pose(self) -> tuple[float, float, float]:

@@ -152,7 +152,7 @@ def _recorded(manifest: Path) -> RecordedVehicle | None:
     """The vehicle that a manifest states; None if there is no such file, or if another program wrote it."""
     try:
         content = json.loads(manifest.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
     stated = content.get("vehicle") if isinstance(content, dict) else None
     return RecordedVehicle.read(stated, manifest) if isinstance(stated, dict) else None

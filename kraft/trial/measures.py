@@ -7,10 +7,10 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Annotated, Final, NamedTuple, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from kraft.driving.messages import (
     ContingencyOrigin,
@@ -54,6 +54,10 @@ class Step:
     boxes: tuple[tuple[float, float, float], ...] = ()
 
 
+Count: TypeAlias = Annotated[int, Field(ge=0)]
+Amount: TypeAlias = Annotated[float, Field(ge=0)]
+
+
 class Record(BaseModel):
     """Part of a line of `trials.jsonl`."""
 
@@ -67,9 +71,9 @@ class Kept(Record):
     `delta_sum_m` is the sum of delta(v).
     """
 
-    ticks: int = 0
-    held: int = 0
-    delta_sum_m: float = 0.0
+    ticks: Count = 0
+    held: Count = 0
+    delta_sum_m: Amount = 0.0
 
     @property
     def coverage(self) -> float | None:
@@ -85,9 +89,9 @@ class Kept(Record):
 class Consistency(Record):
     """Normalised squared errors of an estimator's poses: their number and sum, and how many were in the 95 % band."""
 
-    poses: int = 0
-    sum: float = 0.0
-    in_band: int = 0
+    poses: Count = 0
+    sum: Amount = 0.0
+    in_band: Count = 0
 
     @property
     def mean(self) -> float | None:
@@ -118,13 +122,13 @@ class Measures(Record):
 
     plans: Kept = Kept()
     contingencies: Kept = Kept()
-    deviation_mm: tuple[tuple[int, ...], ...] = ()
-    emergencies: int = 0
-    in_hand: int = 0
-    compared: int = 0
-    regressions: Mapping[str, int] = {}
-    messages_lost: int = 0
-    watchdog_stops: int = 0
+    deviation_mm: tuple[tuple[Count, ...], ...] = ()
+    emergencies: Count = 0
+    in_hand: Count = 0
+    compared: Count = 0
+    regressions: Mapping[str, Count] = {}
+    messages_lost: Count = 0
+    watchdog_stops: Count = 0
     consistency: Consistency | None = None
 
     @property

@@ -35,7 +35,7 @@ def _recorded(candidate: LogFiles, controls: Sequence[str]) -> tuple[str, str] |
         manifest = json.loads((candidate.place / MANIFEST).read_text(encoding="utf-8"))
         heading = (candidate.place / "commands.csv").read_text(encoding="utf-8").splitlines()[0]
         reference = manifest["arguments"].get("vehicle", "")
-    except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError):
+    except (OSError, ValueError, RecursionError, KeyError, IndexError, TypeError, AttributeError):
         return None  # another program wrote it
     names = [name for name in heading.split(",") if name != "t"]
     return None if set(controls) <= set(names) else (", ".join(names), str(reference))

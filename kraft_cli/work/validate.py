@@ -53,6 +53,8 @@ _SCHEMAS: Final[dict[FileKind, type[BaseModel]]] = {
     "mapping": Mapping,
     "robot": Robot,
 }
+KEYS_COMPARED: Final = 100
+"""First keys of a file by which its kind is recognised: comparing many unknown ones takes long."""
 _WRITTEN: Final = "kraft."
 """Prefix of the `schema` of files that kraft writes."""
 
@@ -110,7 +112,7 @@ def recognise(document: Document) -> FileKind:
 
     A robot file is one with a transport or a command: `pose` alone may be the misspelt `poses` of a mapping.
     """
-    keys = set(document.data) if isinstance(document.data, dict) else set()
+    keys = set(list(document.data)[:KEYS_COMPARED]) if isinstance(document.data, dict) else set()
     kinds = [kind for kind in _SCHEMAS if kind != "robot" or keys & {"transport", "command"}]
 
     def likeness(kind: FileKind) -> tuple[int, int]:

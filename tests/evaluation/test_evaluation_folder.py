@@ -24,6 +24,7 @@ from kraft.evaluation import Evaluation, Observer, TrialRow, evaluate, folder
 from kraft.evaluation.experiment import experiment_of
 from kraft.evaluation.journal import Journal, Replays, read_journal
 from kraft.evaluation.manifest import check_continues, grown_manifest, manifest_differences, manifest_of
+from kraft.trial.measures import Kept, Measures
 from kraft.vehicles.load import load_vehicle
 
 SCENARIOS, METHODS = ("turns", "slip"), ("oneshot-openloop", "kraft")
@@ -164,7 +165,7 @@ def test_the_time_that_an_evaluation_took_is_that_of_all_its_commands(last: dict
     assert json.loads(rows.read_text().splitlines()[-1])["measured"]["elapsed_s"] > 1000.0
 
 
-@pytest.mark.parametrize("content", ["", "{", '{"wall_s": "x"}'])
+@pytest.mark.parametrize("content", ["", "{", '{"wall_s": "x"}', '{"wall_s": Infinity}'])
 def test_a_damaged_summary_is_written_again(tmp_path: Path, content: str) -> None:
     run(tmp_path / "out")
     before = json.loads((tmp_path / "out" / "summary.json").read_text())
@@ -381,6 +382,31 @@ def test_damage_in_the_middle_is_refused_at_its_line(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("was", "instead", "key"),
+    [
+        ('"t_s":9.0', '"t_s":null', "t_s"),
+        ('"t_s":9.0', '"t_s":-9.0', "t_s"),
+        ('"cycles":3', '"cycles":-3', "cycles"),
+        ('"held":1', '"held":-1', "measures.plans.held"),
+    ],
+)
+def test_a_trial_that_no_drive_can_have_is_refused_with_its_key(
+    was: str, instead: str, key: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "trials.jsonl"
+    row = TrialRow(
+        scenario="turns", method="kraft", seed=1, outcome="success", t_s=9.0, cycles=3,
+        measures=Measures(plans=Kept(ticks=2, held=1)),
+    )  # fmt: skip
+    line = row.model_dump_json()
+    assert was in line
+    path.write_text(f"{line.replace(was, instead)}\n")
+    with pytest.raises(InputError, match=key) as caught:
+        read_journal(path)
+    assert [(each.line, each.code) for each in caught.value.diagnostics] == [(1, Code.SYNTAX)]
+
+
 def test_failed_trials_are_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(fake_trials.LEFT, str(tmp_path))
     fake_trials.use(monkeypatch, fake_trials.raises_once, inline=True)
@@ -401,7 +427,7 @@ def test_failed_trials_are_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 rows = st.builds(
     TrialRow,
-    scenario=st.text(), method=st.text(), seed=st.integers(0, 10**12), t_s=st.none() | st.floats(0, 1e6),
+    scenario=st.text(), method=st.text(), seed=st.integers(0, 10**12), t_s=st.floats(0, 1e6),
     outcome=st.sampled_from(["success", "collision", "timeout", "failed"]), obstacle=st.none() | st.text(),
     error=st.none() | st.text(), min_clearance_m=st.floats(-1, 1e6),
 )  # fmt: skip

@@ -122,8 +122,9 @@ def test_branches_of_a_tree_are_whole_and_its_lines_follow_the_edges() -> None:
 
 def row(seed: int, drive: str) -> TrialRow:
     return TrialRow(
-        entry="turns", scenario="turns", method="kraft", seed=seed, outcome="success", replay=Replay(drive, "t")
-    )
+        entry="turns", scenario="turns", method="kraft", seed=seed, outcome="success", t_s=9.0,
+        replay=Replay(drive, "t"),
+    )  # fmt: skip
 
 
 def test_replays_are_written_beside_the_trials_and_an_incomplete_line_is_repeated(tmp_path: Path) -> None:

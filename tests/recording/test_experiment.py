@@ -252,6 +252,8 @@ def test_a_file_of_commands_gives_back_the_drive(planned: list[PlannedDrive], tm
         ("t,throttle,steering\n0,0,0\n1,0,0\n1,0,0\n", 4, Code.DATA),
         ("t,throttle,steering\n0,0,0\n1,0,x\n", 3, Code.DATA),
         ("t,throttle,steering\n0,0,0\n", None, Code.DATA),
+        ("t,throttle,steering\n5,0,0\n9,0,0\n1e308,0,0\n", 4, Code.DATA),
+        ("t,throttle,steering\n5,0,0\n3605.1,0,0\n", 3, Code.DATA),
         ("t,throttle,steering\n0,0,0\n1,0.5\n2,0,0\n", 3, Code.SYNTAX),
     ],
 )

@@ -164,6 +164,24 @@ def test_a_box_where_the_car_starts_is_refused_and_one_that_touches_it_is_not() 
     assert open_world(boxes.format(x=0.2 + 0.2145)).collision is None
 
 
+def test_boxes_in_obstacles_or_each_other_are_refused_and_those_that_touch_are_not() -> None:
+    def world(*boxes: tuple[float, float, float]) -> World:
+        size = "size: [0.4, 0.4, 0.2], mass: 1"
+        each = ", ".join(f"{{center: [{x}, {y}], {size}, yaw_deg: {yaw}}}" for x, y, yaw in boxes)
+        wall = "{name: wall, polygon: {vertices: [[3, 2], [6, 2], [6, 5], [5, 3]]}}"
+        return open_world(f"movable_boxes: [{each}]", obstacles=wall)
+
+    assert world((3, 0, 0), (3.4, 0, 0), (5, 1.8, 0), (4, 3.3, 0)).collision is None
+    with pytest.raises(InputError) as caught:
+        world((3, 0, 0), (1.5, 5, 0), (3.3, 0.1, 30), (5, 1.85, 0), (5.8, 3.5, 10))
+    found = [(d.path, d.problem, d.code) for d in caught.value.diagnostics]
+    assert found == [
+        ("truth.movable_boxes[2]", "overlaps movable_boxes[0]", Code.GEOMETRY),
+        ("truth.movable_boxes[3]", "overlaps wall", Code.GEOMETRY),
+        ("truth.movable_boxes[4]", "overlaps wall", Code.GEOMETRY),
+    ]
+
+
 CHANGED = "floor_friction: 0.2, vehicle: {drive_scale: 0.7, steering_offset_deg: 4, mass_scale: 1.5}"
 LATER = "changes: [{{time: 0.5, floor_friction: 0.5}}, {{time: {time}, {changed}}}]"
 RIDE = f"speed_bumps: [{{center: [9, 9], size: [1, 0.2], height: 0.02}}], {BOX.format(y=9, mass=1)}"
