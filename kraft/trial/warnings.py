@@ -91,6 +91,18 @@ def early_watchdog(method: Method) -> str:
     )
 
 
+def watchdog_of_one_plan(method: Method) -> str:
+    """What to say of a watchdog with a single plan, after which no message follows; else empty."""
+    planner = method.planner
+    if planner.mode != "one-shot" or planner.watchdog is None:
+        return ""
+    return (
+        f"{method.name} has planner.watchdog {planner.watchdog:g} s with planner.mode one-shot: no message follows the "
+        f"plan, so it stops the car for good {planner.cycle + planner.watchdog:g} s after the start; leave it out, or "
+        "choose mode replanning"
+    )
+
+
 def unused_polish(method: Method) -> str:
     """What to say of a method that asks a planner for local optimisation that does none; else empty."""
     planner = method.planner
@@ -132,6 +144,7 @@ WARNINGS: Final[tuple[Callable[[Scenario, Method, Vehicle], str], ...]] = (
     lambda scenario, _method, vehicle: near_start(scenario.task(), vehicle),
     lambda scenario, method, _vehicle: unguided_goal(scenario, method),
     lambda _scenario, method, _vehicle: early_watchdog(method),
+    lambda _scenario, method, _vehicle: watchdog_of_one_plan(method),
     lambda _scenario, method, _vehicle: unused_polish(method),
     lambda scenario, _method, vehicle: other_robot(scenario, vehicle),
     uncorrected_slope,
