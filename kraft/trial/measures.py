@@ -55,7 +55,9 @@ class Step:
 
 
 Count: TypeAlias = Annotated[int, Field(ge=0)]
+"""Number of something in a line of `trials.jsonl`."""
 Amount: TypeAlias = Annotated[float, Field(ge=0)]
+"""Duration or sum of squares there: unlike a setting, it has no largest value."""
 
 
 class Record(BaseModel):
